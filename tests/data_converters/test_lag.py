@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from data_converters import CausalSmoother, Sampling, from_the_first_sample
-from data_converters.lag import response, without_lag
+from data_converters.lag import CUTOFF_HZ, response, without_lag
 
 STEP_S = 0.1
 
@@ -50,6 +50,19 @@ def test_a_first_row_that_a_regular_recording_has_not_yet_stays_finite():
     assert np.isfinite(found).all()
 
 
+@pytest.mark.parametrize("step_s", [0.05, 0.1])
+def test_half_of_an_amplitude_is_left_at_the_cutoff(step_s):
+    time_s = step_s * np.arange(400)
+    turns = 2.0 * np.pi * CUTOFF_HZ * time_s
+    wave = np.stack([np.sin(turns), np.cos(turns)], -1)
+    at_s = time_s[np.searchsorted(time_s, CausalSmoother().ready_s(time_s) - 1e-6) :]
+    rows = CausalSmoother()(time_s, wave, at_s).value
+    sampling = from_the_first_sample(CausalSmoother(), step_s, step_s)
+    found = without_lag(CausalSmoother(), rows, step_s, sampling)
+    left = (found * wave[-len(at_s) :]).sum(1)[50:-50]
+    assert left.mean() == pytest.approx(0.5, abs=0.01)
+
+
 def test_noise_is_no_more_than_that_of_the_samples():
     at_s, rows = recorded(CausalSmoother(), STEP_S, noise_m=0.02)
     sampling = from_the_first_sample(CausalSmoother(), STEP_S, STEP_S)
@@ -76,7 +89,7 @@ def test_a_track_of_few_rows_stays_finite(rows):
 @pytest.mark.parametrize("smoother", [CausalSmoother(), CausalSmoother(0.7, 3)], ids=repr)
 @pytest.mark.parametrize("recorded_s", [0.02, 0.07, 0.5])
 def test_response_is_what_the_smoother_does(smoother, recorded_s):
-    time_s = recorded_s * np.arange(200)
+    time_s = 40.0 + recorded_s * np.arange(200)
     at_s = np.arange(smoother.ready_s(time_s), time_s[-1], 0.1)
     values = np.random.default_rng(0).normal(size=(200, 3))
     expected = smoother(time_s, values, at_s).value
