@@ -116,12 +116,20 @@ def test_what_is_seen_after_being_lost_is_another_agent(written):
     assert raw.notes["rows_lost"] == 5
 
 
-@pytest.mark.parametrize(("smallest", "reasons"), [(0.5, [RejectReason.LOW_CERTAINTY]), (0.0, [])])
-def test_a_guessed_scale_is_refused_unless_it_is_asked_for(written, smallest, reasons):
+@pytest.mark.parametrize(
+    ("certainty", "options", "reasons"),
+    [
+        (0.0, {}, [RejectReason.LOW_CERTAINTY]),
+        (0.49, {}, [RejectReason.LOW_CERTAINTY]),
+        (0.5, {}, []),
+        (0.0, {"min_certainty": 0.0}, []),
+    ],
+)
+def test_a_guessed_scale_is_refused_unless_it_is_asked_for(written, certainty, options, reasons):
     dataset = written("sdd")
     scales = dataset.root / "scales.csv"
-    scales.write_text(scales.read_text().replace("video1,0.04,1.0", "video1,0.04,0.0"))
-    dataset = SddDataset(dataset.root, min_certainty=smallest)
+    scales.write_text(scales.read_text().replace("video1,0.04,1.0", f"video1,0.04,{certainty}"))
+    dataset = SddDataset(dataset.root, **options)
     raw = dataset.read(dataset.scenes()[1], 0.1, strict=False)
     assert [item.reason for item in raw.rejected] == reasons
 
@@ -140,6 +148,19 @@ def test_a_bad_row_costs_its_agent_alone(written, bad, reason):
     raw = dataset.read(dataset.scenes()[0], 0.4, strict=False)
     assert [(item.track, item.reason) for item in raw.rejected] == [("ped_9", reason)]
     assert len(raw.tracks) == 3
+
+
+def test_boxes_without_a_number_cost_no_agent_that_has_one(written):
+    dataset = written("sdd")
+    path = dataset.root / "gates" / "video0" / "annotations.txt.gz"
+    torn = [f'x 0 0 10 10 {frame} {int(frame == 2)} 0 0 "Cart"' for frame in range(4)]
+    zipped(path, "\n".join([gzip.decompress(path.read_bytes()).decode(), *torn]))
+    raw = dataset.read(dataset.scenes()[0], 0.1, strict=False)
+    assert [track.name for track in raw.tracks] == ["agent_0", "agent_1", "agent_2"]
+    assert {item.track: item.reason for item in raw.rejected} == {
+        "agent_nan": RejectReason.NOT_FINITE,
+        "agent_nan_v1": RejectReason.NOT_FINITE,
+    }
 
 
 @pytest.mark.parametrize("damage", [lambda b: b[:40], lambda b: b"\x1f\x8b" + b[9:], lambda b: b""])
