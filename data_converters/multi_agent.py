@@ -154,9 +154,10 @@ class MultiAgentDataset(RecordingDataset):
 
     @cached_property
     def _repeated(self) -> dict[Path, Path]:
-        """By file that repeats an earlier one byte by byte, the first of its kind."""
+        """By file that repeats an earlier one byte by byte, packed or not, the first."""
         first: dict[str, Path] = {}
-        originals = {path: first.setdefault(mark, path) for path, mark in self._marks.items()}
+        marks = {path: fingerprint_of(path, unpack=True) for path in self._read_files()}
+        originals = {path: first.setdefault(mark, path) for path, mark in marks.items()}
         return {path: original for path, original in originals.items() if path != original}
 
     @cached_property

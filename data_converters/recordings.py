@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import re
+import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -135,12 +137,18 @@ def fingerprint(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:16]
 
 
-def fingerprint_of(path: Path) -> str:
-    """Hash of a file; one that cannot be read is told when its scene is."""
+def fingerprint_of(path: Path, *, unpack: bool = False) -> str:
+    """Hash of a file; one that cannot be read is told when its scene is.
+
+    Args:
+        path: The file.
+        unpack: Whether that of a file that ends in ".gz" is the hash of its content.
+    """
     try:
         require_plain(path)
-        return fingerprint(path.read_bytes())
-    except (OSError, TrackError):
+        content = path.read_bytes()
+        return fingerprint(gzip.decompress(content) if unpack and path.suffix == ".gz" else content)
+    except (OSError, EOFError, zlib.error, TrackError):
         return f"unreadable {path}"
 
 

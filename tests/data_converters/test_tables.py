@@ -1,5 +1,6 @@
 """Own tables: columns, units, types, scenes, faults, and the example of the README."""
 
+import gzip
 import re
 import shlex
 from pathlib import Path
@@ -183,6 +184,17 @@ def test_an_impossible_description_is_refused(tmp_path, options, says):
 def test_an_unknown_unit_is_refused(unit):
     with pytest.raises(ConversionError, match=rf"`units\.{unit}` must be one of"):
         TableUnits(**{unit: "furlong"})
+
+
+def test_a_packed_copy_of_a_table_is_left_out_and_so_is_in_no_other_split(dataset, tmp_path):
+    own = dataset(tables={name: table(y=2.0 * n) for n, name in enumerate("abc")})
+    before = own.scenes()
+    (tmp_path / "a.csv.gz").write_bytes(gzip.compress((tmp_path / "a.csv").read_bytes()))
+    own = TableDataset(tmp_path)
+    copy = next(scene for scene in own.scenes() if scene not in before)
+    raw = own.read(copy, 0.1, strict=True)
+    assert raw.tracks == []
+    assert [each.reason for each in raw.rejected] == [RejectReason.CONTAINED]
 
 
 @pytest.mark.parametrize(
