@@ -186,7 +186,10 @@ def _extent(rows: pd.DataFrame, mode: Mode) -> FixedExtent | None:
     from trajdata.data_structures.agent import FixedExtent
 
     usual = default_extent(mode)
-    stated = [float(rows[column].median()) if column in rows else float("nan") for column in SIZES]
+    stated = [
+        float(rows[column].dropna().median()) if column in rows else float("nan")
+        for column in SIZES
+    ]
     if not np.isfinite(stated).any():
         return None
     filled = zip(stated, (usual.length, usual.width, usual.height), strict=True)

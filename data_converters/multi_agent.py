@@ -182,7 +182,8 @@ def by_name(files: Iterable[tuple[str, Path]]) -> dict[str, Path]:
     named: dict[str, Path] = {}
     for name, path in files:
         other = named.setdefault(name, path)
-        needs, remedy = f"not be called '{name}' as {other} is", "Remove or rename one of them."
+        needs = f"not name recording '{name}' as {other} does"
+        remedy = "Remove or rename one of them."
         require(other == path, "file", needs, path.name, path.parent, remedy)
     return named
 

@@ -33,6 +33,7 @@ from data_converters.recordings import (
 )
 from data_converters.tracks import RawTrack
 from dmmv_conventions.cache import SPLITS
+from dmmv_conventions.modes import Mode
 
 SEQUENCE = re.compile(r"(\d{4})_(\d{8}_\d{6})")
 FAMILIES = ("vrus", "vehicles")
@@ -163,6 +164,8 @@ class ImptcDataset(RecordingDataset):
         origin = min(int(track.timestamp[0]) for track in files.values())
         for name, track in files.items():
             raw.note("samples_dropped", track.dropped)
+            boxed = track.mode in (Mode.CAR, Mode.TRUCK)
+            raw.note("vehicles_without_cuboids", int(boxed and track.extent is None))
             raw.tracks.append(to_raw_track(track, name, f"{scene.key}/{name}", origin))
         self._add_context(raw, folder, origin, dt_s)
         return raw

@@ -66,7 +66,7 @@ def test_an_agent_that_cannot_be_used_costs_no_other(rows, reason):
 
 
 def test_one_sample_and_two_of_one_place_are_no_fault_of_the_clock():
-    raw = added(rows_of(time_s=(0.3,)), rows_of("b", (0.0, 0.1, 0.1), y=[0.0, 0.0, 0.9]))
+    raw = added(rows_of(time_s=(0.3,)), rows_of("b", (0.0, 0.1, 0.1), y=[0.0, 0.0, 1.0]))
     assert [len(track.time_s) for track in raw.tracks] == [1, 2]
 
 
@@ -94,6 +94,10 @@ def test_speeds_are_those_of_all_rows_or_none():
     assert added(rows_of()).tracks[0].speed is None
 
 
+def test_a_heading_that_is_missing_is_the_one_before():
+    assert added(rows_of(heading=[0.1, NAN, 0.3])).tracks[0].heading.tolist() == [0.1, 0.1, 0.3]
+
+
 def test_sizes_are_medians_and_what_is_not_stated_is_usual():
     sizes = {"length": [2.0, 1.8, 9.0], "width": NAN}
     extent = added(rows_of(**sizes)).tracks[0].extent
@@ -116,10 +120,11 @@ def test_agents_without_a_name_are_counted_together():
 def test_who_is_years_away_and_who_rides_for_years_are_left_out():
     start = 1.7e9
     near = [rows_of("a", (start, start + 50.0)), rows_of("b", (start + 40.0, start + 100.0))]
-    away = [rows_of("past", (0.0, 1.0)), rows_of("long", (start, start + 1e6))]
+    away = [rows_of("past", (0.0,)), rows_of("long", (start, start + 1e6))]
+    away.append(rows_of("clockless", (NAN, NAN)))  # refused by itself
     raw = RawScene()
     table = on_shared_clock(pd.concat([*near, *away]), 100.0, raw, strict=False)
-    assert set(table["agent"]) == {"a", "b"}
+    assert set(table["agent"]) == {"a", "b", "clockless"}
     assert reasons(raw) == dict.fromkeys(("long", "past"), RejectReason.TIME_SPAN)
     told = {each.track: each.detail for each in raw.rejected}
     assert "cover at most 100 s for one agent" in told["long"]

@@ -71,7 +71,13 @@ def test_lights_of_no_known_group_are_no_signals(told, entry) -> None:
 
 
 @pytest.mark.parametrize("step", [0, 3, 6, 7])
-@pytest.mark.parametrize(("code", "name"), [(4, "GREEN"), (10, "RED"), (20, "UNKNOWN")])
+@pytest.mark.parametrize(
+    ("code", "name"),
+    [
+        *((2, "UNKNOWN"), (4, "GREEN"), (10, "RED"), (11, "NO_DATA"), (20, "UNKNOWN"), (30, "RED")),
+        *(("10", "RED"), (10.0, "RED"), (5, "UNKNOWN"), ("off", "UNKNOWN")),
+    ],
+)
 def test_a_state_recorded_at_a_step_holds_from_that_step_on(step, code, name) -> None:
     lights = pd.DataFrame({"time_s": [step / 10], "k1": [code]})
     found = signals_per_step(lights, 9, 0.1).loc["k1", "status"].tolist()

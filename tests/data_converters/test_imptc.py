@@ -21,6 +21,7 @@ from data_converters.imptc.context import read_context, read_table, signals_per_
 from data_converters.imptc.dataset import find_sequences
 from data_converters.imptc.vru_recordings import connected, overlapping, recording_splits
 from data_converters.imptc.vru_release import VruTrack
+from tests.data_converters.synthetic import first_scene
 
 
 @pytest.mark.parametrize(
@@ -89,6 +90,20 @@ def test_read_tracks_lists_all_samples_of_a_sequence(sample):
     table = ImptcDataset(sample).read_tracks(folder)
     assert len(table["agent_id"].unique()) == len(list(folder.glob("v*/*")))
     assert table.groupby("agent_id")["timestamp_us"].is_monotonic_increasing.all()
+
+
+@pytest.mark.parametrize("torn", [0, 1])
+def test_a_vehicle_of_which_a_cuboid_is_missing_is_counted(sample, tmp_path, torn):
+    folder = next(sample.glob("0000_*"))
+    shutil.copytree(folder, tmp_path / folder.name)
+    for path in sorted((tmp_path / folder.name / "vehicles").glob("*/track.json"))[:torn]:
+        content = json.loads(path.read_text())
+        del next(iter(content["track_data"].values()))["cuboid"]
+        path.write_text(json.dumps(content))
+    raw = first_scene(ImptcDataset(tmp_path))
+    assert raw.notes["vehicles_without_cuboids"] == torn
+    vehicles = [track for track in raw.tracks if track.name.startswith("vehicle")]
+    assert sum(track.extent is None for track in vehicles) == torn < len(vehicles)
 
 
 def test_lights_and_weather_stand_beside_the_scene(converted):

@@ -69,8 +69,11 @@ def test_all_agents_of_a_recording_are_in_one_scene(written, name, modes):
 @pytest.mark.parametrize(("name", "rate_hz"), [("citr", 29.97), ("dut", 23.98), ("sdd", 30.0)])
 def test_pictures_are_turned_up_so_that_left_stays_left(written, name, rate_hz):
     track = read(written(name)).tracks[0]
-    expected = ride(times(rate_hz), 0.0).position[: len(track.time_s)]
-    np.testing.assert_allclose(track.position[:, :2], expected, atol=1e-3)
+    time_s = times(rate_hz)[: len(track.time_s)]
+    np.testing.assert_allclose(track.time_s, time_s, atol=1e-9)
+    np.testing.assert_allclose(
+        track.position[:, :2], ride(times(rate_hz), 0.0).position[: len(time_s)], atol=1e-3
+    )
 
 
 @pytest.mark.parametrize("name", ["citr", "dut"])
@@ -190,7 +193,7 @@ def test_no_file_takes_the_place_of_another_in_silence(written, name, file, copy
     root = written(name).root
     (root / copy).parent.mkdir(parents=True, exist_ok=True)
     (root / copy).write_bytes(b"other rows")
-    with pytest.raises(ConversionError, match="`file` must not be called") as caught:
+    with pytest.raises(ConversionError, match="`file` must not name recording") as caught:
         DATA_SETS[name](root).scenes()
     # the one stands with its folder, and so does the other
     for path in (root / file, root / copy):
