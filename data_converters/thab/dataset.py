@@ -144,10 +144,11 @@ class ThabVruDataset(RecordingDataset):
         return _Index(samples, modes, faults, contained, groups, splits)
 
     def _fingerprint(self, path: str) -> str:
-        samples = self._index.samples.get(path)
-        content = b"" if samples is None else samples.tobytes()
-        holder = self._index.contained.get(path, "")
-        return fingerprint(content + holder.encode())
+        index = self._index
+        if path in index.faults:
+            # the same wherever the folder lies
+            return fingerprint(str(index.faults[path]).replace(str(self.root), "").encode())
+        return fingerprint(index.samples[path].tobytes() + index.contained.get(path, "").encode())
 
 
 def _recordings(files: list[ThabFile], samples: Mapping[str, object]) -> dict[str, str]:

@@ -85,6 +85,16 @@ def test_a_file_of_any_length_is_read_as_it_is(stamps) -> None:
     np.testing.assert_array_equal(values, np.column_stack([stamps, rows, -rows]))
 
 
+def test_a_file_with_another_fault_is_read_again(thab, thab_settings):
+    path, header = thab / "cyclists" / "moving" / "21.csv", ",timestamp,x,y"
+    reasons = []
+    for text in ("", f"{header}\n", f"{header}\n0,0.0,1,nan\n1,0.1,1,2\n"):
+        path.write_text(text)
+        (scene,) = (s for s in convert(thab_settings()).scenes if s.name == "cyclists_moving_21")
+        reasons += [item["reason"] for item in scene.rejected]
+    assert reasons == ["missing_field", "too_short", "coordinates_not_finite"]
+
+
 def test_a_file_from_the_end_to_the_beginning_is_put_in_order(thab):
     path = thab / "cyclists" / "moving" / "21.csv"
     tracks = []
