@@ -42,14 +42,18 @@ def read_table(path: Path, section: str, origin_us: int) -> pd.DataFrame | None:
         Column `time_s` in s and the recorded values; None if the file is absent or empty.
 
     Raises:
-        TrackError: If the file is broken, or an entry is no object or has no time.
+        TrackError: If the file is broken, the entries or one of them are no object, or one has no
+            time.
     """
     if not path.is_file():
         return None
     content = load_json(path)
-    entries = content.get(section) if isinstance(content, dict) else None
-    if not isinstance(entries, dict) or not entries:
+    entries = content.get(section) if isinstance(content, dict) and content else content
+    if entries == {}:
         return None
+    if not isinstance(entries, dict):
+        needs, remedy = "be an object", "Unpack the archive again."
+        refuse_track(RejectReason.MISSING_FIELD, section, needs, entries, path, remedy)
     rows = [_row(key, entry, origin_us, path) for key, entry in entries.items()]
     table = pd.DataFrame(rows).sort_values("time_s", kind="stable", ignore_index=True)
     return table.assign(**{str(name): _one_kind(table[name]) for name in table if name != "time_s"})

@@ -6,7 +6,8 @@ import pandas as pd
 import pytest
 from trajdata.maps.traffic_light_status import TrafficLightStatus
 
-from data_converters.imptc.context import read_table, signals_per_step
+from data_converters import TrackError
+from data_converters.imptc.context import read_context, read_table, signals_per_step
 
 START_US = 1_679_472_905_000_000
 
@@ -53,12 +54,23 @@ def test_values_of_several_kinds_become_texts(told, values, expected):
     assert told(*({"road": value} for value in values))["road"].tolist() == expected
 
 
-@pytest.mark.parametrize("content", [[], {}, {"weather_data": {}}, {"weather_data": [1]}])
+@pytest.mark.parametrize("content", [{}, {"weather_data": {}}])
 def test_a_file_without_entries_is_no_table(tmp_path, content):
     path = tmp_path / "weather.json"
     assert read_table(path, "weather_data", 0) is None
     path.write_text(json.dumps(content))
     assert read_table(path, "weather_data", 0) is None
+
+
+@pytest.mark.parametrize(
+    "content", [[], "rain", {"weather": {}}, {"weather_data": [{"ts": START_US}]}]
+)
+def test_entries_in_another_place_or_form_are_told(tmp_path, content):
+    path = tmp_path / "weather_data.json"
+    path.write_text(json.dumps(content))
+    with pytest.raises(TrackError, match="`weather_data` must be an object, .*weather_data.json"):
+        read_table(path, "weather_data", 0)
+    assert read_context(tmp_path, 0) == ({}, 1)
 
 
 def test_an_entry_does_not_tell_the_time_of_the_table(told):

@@ -28,6 +28,23 @@ def test_size_and_axis_come_back_whatever_the_order_of_the_edges(
     assert abs(turned) < 0.01
 
 
+def test_every_sample_has_a_size_and_an_axis_of_its_own():
+    sizes, angles = [(4.0, 2.0, 1.5), (9.0, 2.2, 3.0), (4.0, 1.8, 1.5)], [0.1, 1.4, 2.9]
+    boxes = [
+        cuboid_edges(np.ones(3), angle, size) for angle, size in zip(angles, sizes, strict=True)
+    ]
+    found = measure_cuboids([box.tolist() for box in boxes], "here")
+    np.testing.assert_allclose(np.stack(found[:3], 1), sizes, atol=1e-6)
+    np.testing.assert_allclose(found.axis, angles, atol=1e-6)
+
+
+@pytest.mark.parametrize("angle", np.arange(0.1, 3.0, 0.1))
+@pytest.mark.parametrize("size", [(4.0, 0.0, 1.5), (4.0, 2.0, 0.0), (4.0, 0.09, 1.5)])
+def test_what_is_flat_is_no_cuboid_however_it_lies(angle, size):
+    with pytest.raises(TrackError, match="`cuboid` must be 12 edges"):
+        measure_cuboids([cuboid_edges(np.array([3.0, -7.0, 0.2]), angle, size).tolist()], "file")
+
+
 @pytest.mark.parametrize(
     "edges",
     [

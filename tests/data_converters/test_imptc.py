@@ -106,6 +106,14 @@ def test_a_vehicle_of_which_a_cuboid_is_missing_is_counted(sample, tmp_path, tor
     assert sum(track.extent is None for track in vehicles) == torn < len(vehicles)
 
 
+def test_a_file_beside_the_folders_of_tracks_is_none(sample, tmp_path):
+    folder = next(sample.glob("0000_*"))
+    shutil.copytree(folder, tmp_path / folder.name)
+    (tmp_path / folder.name / "vrus" / "README.txt").write_text("tracks")
+    raw = first_scene(ImptcDataset(tmp_path), strict=False)
+    assert (len(raw.tracks), raw.rejected) == (len(list(folder.glob("v*/*"))), [])
+
+
 def test_lights_and_weather_stand_beside_the_scene(converted):
     folder = next(converted.glob("imptc/0000_*"))
     lights = pd.read_parquet(folder / "traffic_lights.parquet")
