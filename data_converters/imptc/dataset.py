@@ -125,18 +125,26 @@ class ImptcDataset(RecordingDataset):
             "unused_sequences": [str(each.relative_to(self.root)) for each in unused],
         }
 
+    def folders(self) -> dict[str, Path]:
+        """Sequence folders by name, in order.
+
+        Raises:
+            ConversionError: If there is none, or a download is not finished.
+        """
+        refuse_unfinished(self.root)
+        found = find_sequences(self.root)
+        if not found:
+            refuse_missing("sequence folders NNNN_YYYYMMDD_HHMMSS", "none", self.root)
+        return found
+
     def scenes(self) -> list[SceneSource]:
         """One scene per sequence folder.
 
         Raises:
             ConversionError: If no sequence folder is there, or a download is not finished.
         """
-        refuse_unfinished(self.root)
-        folders = find_sequences(self.root)
-        if not folders:
-            refuse_missing("sequence folders NNNN_YYYYMMDD_HHMMSS", "none", self.root)
         scenes = []
-        for name, folder in folders.items():
+        for name, folder in self.folders().items():
             split = self._split_of(name)
             if split is not None:
                 key = str(folder.relative_to(self.root))

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import ClassVar, NamedTuple
 
-from data_converters.errors import RejectReason, TrackError
-from data_converters.imptc.dataset import ImptcDataset, find_sequences, to_raw_track
+from data_converters.errors import RejectReason, TrackError, require
+from data_converters.imptc.dataset import ImptcDataset, to_raw_track
 from data_converters.imptc.reader import (
     UTM32_OFFSET_M,
     TrackFilter,
@@ -86,13 +86,19 @@ class ImptcVruDataset(RecordingDataset):
         """One scene per group of tracks that overlap in time, named after its first track.
 
         Raises:
-            ConversionError: If a split is missing, its combined file is broken, or a download is
-                not finished.
+            ConversionError: If a split is missing, its combined file is broken, a download is not
+                finished, or the other release is not where it should be, or nothing tells which
+                sequence a track is from.
         """
         refuse_unfinished(self.root)
         absent = self._release.absent()
         if absent:
             refuse_missing("train, eval and test of the VRU release", f"no {absent}", self.root)
+        tracks = [track for scene in self._scenes.values() for track in scene.tracks]
+        told = self.sequences is None or any(track.sequence for track in tracks)
+        needs = "tell the sequence of a track, by which both releases are compared"
+        remedy = "Unpack the folders of the tracks, or leave out `other_release`."
+        require(told, "src_info.txt", needs, "none", self.root, remedy)
         scenes = []
         for scene in self._scenes.values():
             marks = [[t.key, t.mark, t.key in self._conflicts] for t in scene.tracks]
@@ -138,7 +144,7 @@ class ImptcVruDataset(RecordingDataset):
 
     def overlaps(self, sequences: ImptcDataset) -> list[Overlap]:
         """Tracks whose sequence is part of the sequence release, joined by `src_info.txt`."""
-        known = {name.partition("_")[2]: name for name in find_sequences(sequences.root)}
+        known = {name.partition("_")[2]: name for name in sequences.folders()}
         found = []
         for scene in self._scenes.values():
             for track in scene.tracks:
@@ -155,7 +161,7 @@ class ImptcVruDataset(RecordingDataset):
             return {}
         splits = {
             name.partition("_")[2]: self.sequences.split.of(int(name[:4]))
-            for name in find_sequences(self.sequences.root)
+            for name in self.sequences.folders()
         }
         return {start: split for start, split in splits.items() if split is not None}
 

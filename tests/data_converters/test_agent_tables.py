@@ -51,7 +51,7 @@ def test_a_table_without_heights_is_flat():
     ("rows", "reason"),
     [
         (rows_of(time_s=(0.1, 0.1)), RejectReason.REPEATED_TIMESTAMPS),
-        (rows_of(time_s=(0.0, 0.1, 0.1), y=[0.0, 0.0, 1.1]), RejectReason.TWO_PLACES),
+        (rows_of(time_s=(0.0, 0.1, 0.1), y=[3.0, 3.0, 4.1]), RejectReason.TWO_PLACES),
         (rows_of(x=[0.0, NAN, 1.0]), RejectReason.NOT_FINITE),
         (rows_of(z=[0.0, np.inf, 1.0]), RejectReason.NOT_FINITE),
         (rows_of(mode=NAN, label="ufo"), RejectReason.UNKNOWN_CLASS),

@@ -18,7 +18,7 @@ from data_converters import (
 )
 from data_converters.imptc import vru
 from data_converters.imptc.context import read_context, read_table, signals_per_step
-from data_converters.imptc.dataset import find_sequences
+from data_converters.imptc.dataset import find_sequences, sequences_at
 from data_converters.imptc.vru_recordings import connected, overlapping, recording_splits
 from data_converters.imptc.vru_release import VruTrack
 from tests.data_converters.synthetic import first_scene
@@ -257,6 +257,27 @@ def test_a_combined_file_counts_although_a_folder_without_tracks_lies_beside_it(
     tracks = [len(scene.tracks) for scene in after._scenes.values()]
     assert [scene.name for scene in after.scenes()] == [scene.name for scene in before]
     assert sum(tracks) == len(list(vru_sample.glob("*/*/track.json")))
+
+
+@pytest.mark.parametrize("release", ["typo", ""])
+def test_another_release_that_is_not_there_is_told(vru_sample, tmp_path, release):
+    with pytest.raises(ConversionError, match="`root` must hold sequence folders"):
+        ImptcVruDataset(vru_sample, sequences=sequences_at(str(tmp_path / release))).scenes()
+
+
+def test_tracks_of_unknown_sequences_are_not_compared_with_those_of_another_release(
+    vru_sample, sample, tmp_path
+):
+    for path in vru_sample.glob("*_tracks.json"):
+        shutil.copy(path, tmp_path)
+    assert ImptcVruDataset(tmp_path).scenes()
+    with pytest.raises(ConversionError, match=r"`src_info.txt` must tell .*`other_release`"):
+        ImptcVruDataset(tmp_path, sequences=ImptcDataset(sample)).scenes()
+
+
+def test_the_other_release_is_given_by_its_folder(sample):
+    assert sequences_at(None) is None
+    assert sequences_at(str(sample)) == ImptcDataset(sample)
 
 
 def test_mixed_recordings_take_the_split_of_their_sequence(vru_sample, sample):

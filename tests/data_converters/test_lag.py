@@ -70,7 +70,13 @@ def test_noise_is_no_more_than_that_of_the_samples():
     assert (found - weave(at_s))[12:].std() < 0.02
 
 
-@pytest.mark.parametrize(("rounded_s", "step_s"), [(0.0999, 0.1), (0.0501, 0.05), (0.08, 0.08)])
+@pytest.mark.parametrize(
+    ("rounded_s", "step_s"),
+    [
+        *((0.0999, 0.1), (0.0501, 0.05), (0.0204, 0.02), (0.2039, 0.2)),
+        *((0.08, 0.08), (0.0205, 0.0205), (0.2042, 0.2042)),
+    ],
+)
 def test_a_recorded_step_that_was_rounded_is_that_of_the_rows(rounded_s, step_s):
     found = from_the_first_sample(CausalSmoother(), STEP_S, rounded_s)
     assert found == pytest.approx((0.6, step_s))
