@@ -86,6 +86,11 @@ def test_what_no_instrument_can_tell_is_counted_and_unknown(log, column):
     assert read_log(log(exceed)).unusable == 2
 
 
+def test_rows_without_a_position_are_counted(log):
+    path = log(lambda table: table.assign(**{LATITUDE: table[LATITUDE].where(table.index > 2, 0)}))
+    assert read_log(path).unusable == 3
+
+
 def test_sensors_are_those_of_the_source_with_lean_to_the_left(log):
     path = log()
     table, read = pd.read_csv(path), read_log(path).sensors

@@ -282,10 +282,13 @@ def test_a_test_scene_of_two_recordings_needs_both(written):
         EthUcyDataset(root, held_out="univ").scenes()
 
 
+@pytest.mark.parametrize(
+    ("place", "found"), [("", "nothing of the kind"), ("no", "no such folder")]
+)
 @pytest.mark.parametrize("name", DATA_SETS)
-def test_a_folder_without_recordings_is_told(name, tmp_path):
-    with pytest.raises(ConversionError, match="`root` must hold"):
-        DATA_SETS[name](tmp_path).scenes()
+def test_a_folder_without_recordings_is_told(name, place, found, tmp_path):
+    with pytest.raises(ConversionError, match=f"`root` must hold .*'{found}'"):
+        DATA_SETS[name](tmp_path / place).scenes()
 
 
 def test_an_unknown_scene_to_hold_out_is_refused(tmp_path):
