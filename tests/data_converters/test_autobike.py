@@ -98,7 +98,7 @@ def test_sensors_are_those_of_the_source_with_lean_to_the_left(log):
     assert read["yaw_rate"].tolist() == table[GYRO].tolist()
 
 
-@pytest.mark.parametrize(("seconds", "rides"), [(7.9, False), (8.5, True)])
+@pytest.mark.parametrize(("seconds", "rides"), [(0.5, False), (7.9, False), (8.5, True)])
 def test_a_log_rides_for_eight_seconds(log, seconds, rides):
     path = log(lambda table: table[: round(100 * seconds)])
     if rides:
