@@ -30,7 +30,7 @@ def find_contained(tracks: Mapping[str, Array]) -> dict[str, str]:
         head = samples[:RUN].tobytes()
         for holder, index in starts.get(head, []):
             piece = _centimetres(tracks[holder])[index : index + len(samples)]
-            if len(piece) == len(samples) and np.array_equal(piece, samples):
+            if np.array_equal(piece, samples):
                 contained[name] = holder
                 break
         else:

@@ -116,6 +116,25 @@ def test_a_file_cut_out_of_another_is_contained_in_it(piece):
     assert find_contained({"a": long, "b": long[piece], "c": other}) == {"b": "a"}
 
 
+@pytest.mark.parametrize("start", [5, 20])
+def test_a_file_that_only_begins_like_a_part_of_another_is_kept(start) -> None:
+    track = walk(0)
+    assert (
+        find_contained({"a": track, "b": np.vstack([track[start : start + 15], walk(1)[:5]])}) == {}
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "group"), [("100021", "21"), ("100099", "100099"), ("21_7", "21")]
+)
+def test_a_name_tells_the_recording(thab, name, group) -> None:
+    moving = thab / "cyclists" / "moving"
+    track = pd.read_csv(moving / "21.csv", index_col=0)
+    track.assign(x=track["x"] + 50.0).to_csv(moving / f"{name}.csv")
+    told = {scene.key: scene.recording for scene in ThabVruDataset(thab).scenes()}
+    assert told[f"cyclists/moving/{name}.csv"] == f"cyclists/{group}"
+
+
 @pytest.mark.parametrize(("noise_m", "held"), [(0.0, {"b": "a"}), (0.004, {"b": "a"}), (0.006, {})])
 def test_samples_repeat_others_if_equal_to_the_centimetre(noise_m, held) -> None:
     track = walk(0)
