@@ -189,7 +189,7 @@ def by_name(files: Iterable[tuple[str, Path]]) -> dict[str, Path]:
 
 
 def agent_names(kind: str, numbers: pd.Series) -> list[str]:
-    """Name of the agent of each row, such as "ped_7"; other numbers are other names."""
+    """Names of agents, such as "ped_7", for numbers of shape (R,): other numbers, other names."""
     return [f"{kind}_{number:.15g}" for number in numbers]
 
 

@@ -59,9 +59,8 @@ def require_fitting(
 
     Raises:
         ValueError: A result has the wrong shape or precision or no gradient, the cost of a time
-            depends on another one, one of them writes into its arguments, or `vmap` cannot call
-            it, as with an `if` on tensors, or a tensor that `Batched` names has not one entry per
-            problem.
+            depends on another one, one of them writes into its arguments, `vmap` cannot call it,
+            or a tensor that `Batched` names has not one entry per problem.
         TypeError: One of them cannot be called, or a result or such a tensor is no tensor.
     """
     require_callable("dynamics", dynamics, "It gives the next state: (state, control) -> state.")
@@ -134,9 +133,7 @@ def _require_entries(name: str, function: object, batch: torch.Size) -> None:
         require(fits, f"{name}.tensors", wanted, f"shape {found}", "", remedy)
 
 
-def _untouched(
-    name: str, function: Callable[[Tensor, Tensor], Tensor], *arguments: Tensor
-) -> Tensor:
+def _untouched(name: str, function: Callable[..., Tensor], *arguments: Tensor) -> Tensor:
     """The result for copies; a function that writes into them, as into a state, is refused."""
     copies = [each.clone() for each in arguments]
     result = function(*copies)
@@ -168,9 +165,7 @@ def _require_precision(name: str, result: Tensor, state: Tensor) -> None:
     require(found == wanted, name, f"return {wanted} as the state", found, "", remedy)
 
 
-def _require_gradient(
-    name: str, function: Callable[[Tensor, Tensor], Tensor], *arguments: Tensor
-) -> None:
+def _require_gradient(name: str, function: Callable[..., Tensor], *arguments: Tensor) -> None:
     """Refuse a function that autograd cannot follow to any of its arguments."""
     if torch.is_inference_mode_enabled():  # where autograd follows nothing
         return
@@ -188,13 +183,11 @@ def _require_gradient(
     )
 
 
-def _require_batchable(
-    name: str, function: Callable[[Tensor, Tensor], Tensor], state: Tensor, controls: Tensor
-) -> None:
+def _require_batchable(name: str, function: Callable[..., Tensor], *arguments: Tensor) -> None:
     """Refuse a function that `vmap` cannot call for many times or step sizes at once."""
     try:
         # a bare module would be printed by vmap
-        torch.vmap(lambda x, u: function(x, u))(state.unsqueeze(0), controls.unsqueeze(0))
+        torch.vmap(lambda *each: function(*each))(*(each.unsqueeze(0) for each in arguments))
     except RuntimeError as unable:
         if type(unable) is not RuntimeError:  # such as one for want of memory
             raise

@@ -193,16 +193,14 @@ class _Terms:
         states = torch.cat([self.problem.state.unsqueeze(-2), x], -2)
         following = step_all(self.problem.dynamics, states[..., :-1, :], u)
         values = self.problem.rows.values(states, pad_controls(u))
-        slack = self.slack
-        paid = self.prices[0] * slack + 0.5 * self.prices[1] * slack.square()
+        paid = self.prices[0] * self.slack + 0.5 * self.prices[1] * self.slack.square()
         # what never acts may lie at minus infinity, of which no multiplier makes zero
-        left = torch.where(self.acts, values - self.activity.side * slack, 0.0)
-        pressed = self.multipliers * left + paid
+        left = torch.where(self.acts, values - self.activity.side * self.slack, 0.0)
         each = (
             self.problem.cost(states, pad_controls(u)).sum(-1)
             + (self.costates * (following - x)).sum((-2, -1))
             + (self.pressure * (u - self.bound)).sum((-2, -1))
-            + torch.where(self.valid, pressed, 0.0).sum((-2, -1))
+            + torch.where(self.valid, self.multipliers * left + paid, 0.0).sum((-2, -1))
         )
         yielded = self.compliance * (self.multipliers - self.offset)
         rows = torch.where(self.activity.active & self.valid, values - yielded, 0.0)
