@@ -192,7 +192,7 @@ class Experiment:
         asked = f"vehicle={vehicle}", f"goal={run.goal}", f"seed={run.seed}"
         train = self._script(
             "train", *self._data(run), *asked, f"out={quoted(folder)}", *small,
-            *self._windows(run), *config.overrides, *told.get("training", []), *settings,
+            *self._windows(run), *config.overrides, *settings, *told.get("training", []),
         )  # fmt: skip
         judge = self._evaluation(run, folder / BEST, f"plans={str(plans).lower()}")
         converted = self.conversion(self.source(run.data)).result

@@ -444,6 +444,16 @@ def test_settings_of_a_set_for_its_training_are_given_to_that_alone():
     assert {"data.neighbors=6", "data=dut"} <= set(train) & set(evaluate)
 
 
+@pytest.mark.parametrize(("name", "epochs"), [("dut_cars", 30), ("dut_people", 16)])
+def test_a_setting_of_a_set_goes_before_that_of_all(name, epochs):
+    with initialize_config_dir(str(config_folder()), version_base="1.3"):
+        config = compose("results", ["experiment=shared_space", "raw=recordings", "out=out"])
+        [mode] = config.sets[name].modes
+        run = Run(name, mode, "kbm", "predicted", 0, Path("out/runs/a/report"))
+        train, _ = Experiment(config, Path("out"), SCRIPTS).training(run).commands
+        assert compose("train", list(train[2:])).epochs == epochs
+
+
 def test_nothing_begins_whose_predictor_has_weights_but_no_result(tmp_path):
     """As after a kill: the checkpoint of its best epoch so far is there."""
     with initialize_config_dir(str(config_folder()), version_base="1.3"):
