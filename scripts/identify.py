@@ -72,15 +72,25 @@ def main(config: DictConfig) -> None:
     """
     if config.controls == MEASURED:
         identify_measured(config)
-        return
+    else:
+        identify_tracks(config)
+    out = Path(config.out)
+    if config.get("wandb"):
+        from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
+        from diffstack_mmv.reporting.html import Titles, read_record
+
+        instantiate(config.wandb)(read_record(out, Titles(OPEN_LOOP, CLOSED_LOOP)))
+    logger.info("Report: %s; as a page: dmmv-report %s", out / "identification.md", out)
+
+
+def identify_tracks(config: DictConfig) -> None:
+    """Fit a vehicle to tracks, and write it, numbers, tables and figures."""
     study, source, out = instantiate(config.study), instantiate(config.source), Path(config.out)
     import torch
 
     from diffstack_mmv.identification import identification_result, vehicle_provenance
-    from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
     from diffstack_mmv.plotting import FittedTrack, save_identification
     from diffstack_mmv.reporting import write_identification
-    from diffstack_mmv.reporting.html import Titles, read_record
     from diffstack_mmv.vehicles import save_vehicle
 
     name, models = config.names.dynamics, builders(config)
@@ -102,9 +112,6 @@ def main(config: DictConfig) -> None:
     origin = f"identified from {len(tracks)} tracks of {config.data.name}"
     vehicle = result.calibrated(study.spec, origin)
     save_vehicle(vehicle, out / "vehicle.yaml", vehicle_provenance(header, content, name))
-    if config.get("wandb"):
-        instantiate(config.wandb)(read_record(out, Titles(OPEN_LOOP, CLOSED_LOOP)))
-    logger.info("Report: %s; as a page: dmmv-report %s", out / "identification.md", out)
 
 
 def recordings_of(config: DictConfig, place: tuple[Any, Any, Any], columns: Sequence[str]) -> Any:
@@ -168,6 +175,7 @@ def track_samplings(
 def identify_measured(config: DictConfig) -> None:
     """Fit vehicle and instruments, and write vehicle, numbers and tables."""
     from diffstack_mmv.data import read_rides
+    from diffstack_mmv.identification import smoothed_beside_instruments
     from diffstack_mmv.identification.measured import (
         measured_result,
         measured_rides,
@@ -177,15 +185,18 @@ def identify_measured(config: DictConfig) -> None:
     from diffstack_mmv.vehicles import save_vehicle
 
     study, source, out = measured_study(config), instantiate(config.source), Path(config.out)
+    remarks = smoothed_beside_instruments(source.smoother())
+    for told in remarks:
+        logger.warning(told)
     rides = measured_rides(*read_rides(source, config.splits, study.spec.mode))
     result = study(rides, builders(config))
     header = {**config.header, "date": date.today().isoformat(), "controls": MEASURED}
     content = measured_result(study, result, instantiate(config.thresholds))
+    content["remarks"] = remarks
     write_tables(out, header | content, measured_tables(content))
     vehicle = result.calibrated(study.spec, f"identified from rides of {config.data.name}")
     told = ("tracks", "loss_before", "loss_after", "heldout_before", "heldout_after", "models")
     save_vehicle(vehicle, out / "vehicle.yaml", header | {key: content[key] for key in told})
-    logger.info("Report: %s", out / "identification.md")
 
 
 def measured_study(config: DictConfig) -> Any:

@@ -102,19 +102,26 @@ def read_sensors(
 ) -> dict[str, Tensor]:
     """Measurements of sensors, such as `yaw_rate`, in the way of `read_controls`.
 
-    They stand in `sensors.parquet` of a scene.
+    They stand in `sensors.parquet` of a scene; not every vehicle carries any.
 
     Returns:
-        By "recording/agent" the measurements (T, m); NaN where there are none nearby.
+        By "recording/agent" the measurements (T, m), NaN where there are none nearby; nothing where
+        no scene has such a table.
 
     Raises:
-        ValueError: As `read_controls`.
+        ValueError: As `read_controls`, but for a table that is not there.
     """
-    return _recorded(converted(source), splits, Mode.named(mode), names, SENSORS_TABLE)
+    place = converted(source), splits, Mode.named(mode), names
+    return _recorded(*place, SENSORS_TABLE, needed=False)
 
 
 def _recorded(
-    cache: ConvertedCache, splits: Sequence[str], mode: Mode, names: Sequence[str], table: str
+    cache: ConvertedCache,
+    splits: Sequence[str],
+    mode: Mode,
+    names: Sequence[str],
+    table: str,
+    needed: bool = True,
 ) -> dict[str, Tensor]:
     """Columns of a table that stands beside the scenes, over the steps of each track."""
     found, tables = {}, 0
@@ -125,8 +132,9 @@ def _recorded(
         tables, measured = tables + 1, _numbers(cache, path, names)
         found |= _scene_controls(cache, scene["name"], measured, mode, names)
     where, remedy = f" in '{cache.name}'", f"Write one beside the scenes, or drop `{table}`."
-    require(tables > 0, table, f"be recorded in {table}.parquet", "no such file", where, remedy)
-    known = any(bool(torch.isfinite(values).any()) for values in found.values())
+    there = tables > 0 or not needed
+    require(there, table, f"be recorded in {table}.parquet", "no such file", where, remedy)
+    known = not tables or any(bool(torch.isfinite(values).any()) for values in found.values())
     require(known, table, "hold a number at a time of a track", "none", where, remedy)
     return found
 

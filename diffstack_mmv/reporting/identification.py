@@ -34,14 +34,14 @@ def write_tables(
 
     Args:
         folder: The folder.
-        result: All numbers.
+        result: All numbers, and what there is to remark under "remarks".
         tables: Rows by heading.
 
     Raises:
         ValueError: A number is NaN or infinite.
     """
     write_json(folder / "identification.json", result)
-    parts = [f"# {result['vehicle']}: {result['dynamics']}, measured controls"]
+    parts = [f"# {result['vehicle']}: {result['dynamics']}, measured controls", *result["remarks"]]
     for heading, rows in tables.items():
         table = pd.DataFrame(list(rows))
         parts.append(f"## {heading}\n\n" + markdown_table(table.round(4), ""))

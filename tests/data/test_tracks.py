@@ -10,6 +10,7 @@ from diffstack_mmv.data import (
     ConvertedCache,
     read_controls,
     read_leans,
+    read_rides,
     recorded_noise,
     recorded_sampling,
     recorded_step,
@@ -110,6 +111,28 @@ def ride(tmp_path):
 
 
 NAMES = ("acceleration", "steer")
+
+
+def test_rides_need_no_sensors_beside_their_controls(ride):
+    time_s = 0.1 * np.arange(40)
+    source = ride("controls", time_s=time_s, steer=0.0 * time_s, speed=1.0 + time_s)
+    rides = read_rides(source, ["train"], "bicycle")
+    assert rides.controls["scene/track"][:, 1].numpy() == pytest.approx(1.0 + time_s)
+    assert rides.sensors == {}
+
+
+def test_sensors_that_are_there_must_hold_a_number(ride):
+    columns = {"time_s": [0.0], "steer": [0.0], "speed": [1.0]}
+    source = ride("controls", **columns)
+    ride("sensors", time_s=[0.0], yaw_rate=[np.nan])
+    with pytest.raises(ValueError, match="`sensors` must hold a number"):
+        read_rides(source, ["train"], "bicycle")
+
+
+def test_rides_without_controls_are_refused(ride):
+    source = ride("sensors", time_s=[0.0], yaw_rate=[0.0])
+    with pytest.raises(ValueError, match="`controls` must be recorded in controls.parquet"):
+        read_rides(source, ["train"], "bicycle")
 
 
 def test_controls_are_those_of_the_steps_they_were_recorded_in(ride):

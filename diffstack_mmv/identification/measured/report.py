@@ -123,7 +123,7 @@ def _recordings(names: tuple[str, ...], fit: MeasuredFit) -> dict[str, dict[str,
 
 
 def measured_tables(content: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
-    """Tables for `identification.md`: models, parameters, antenna and encoder, roll-outs, tests."""
+    """Tables for `identification.md`: models, parameters, instruments, roll-outs, tests."""
     parameters = [
         {"model": model, "parameter": name}
         | {key: entry[key] for key in ("initial", "prior_std", "estimate", "std")}
@@ -157,10 +157,12 @@ def measured_tables(content: Mapping[str, Any]) -> dict[str, list[dict[str, Any]
         for name, told in content["models"].items()
         for unknown, entry in told["installed"].items()
     ]
+    recordings = [{"recording": name, **row} for name, row in content["recordings"].items()]
     return {
         "Models": models,
         "Parameters": parameters,
         "Installed": installed,
+        "Recordings": recordings,
         "Roll-outs": rollouts,
         "Tests": tests,
     }

@@ -33,8 +33,8 @@ def rollout_table(result: MeasuredStudyResult) -> dict[str, dict[str, dict[str, 
     lines = dict(result.baselines)
     for name, found in result.models.items():
         for left_out, errors in (("recording", found.by_recording), ("session", found.by_session)):
-            lines[f"{name}, {left_out} left out"] = errors.plain
-            lines[f"{name}, {left_out} left out, with gyro"] = errors.with_gyro
+            for how, each in _ways(errors, result.rollouts).items():
+                lines[f"{name}, {left_out} left out{how}"] = each
     groups = rollout_groups(result.rollouts)
     return {
         group: {"n": {"windows": float(chosen.sum())}}
@@ -42,6 +42,14 @@ def rollout_table(result: MeasuredStudyResult) -> dict[str, dict[str, dict[str, 
         for group, chosen in groups.items()
         if bool(chosen.any())
     }
+
+
+def _ways(errors: HeldOut, windows: RideWindows) -> dict[str, RolloutErrors]:
+    """Errors by how the state was estimated: where no ride has a gyro, not with one."""
+    ways = {"": errors.plain}
+    if bool(windows.yaw_rate.isfinite().any()):
+        ways[", with gyro"] = errors.with_gyro
+    return ways
 
 
 def _means(lines: Mapping[str, RolloutErrors], chosen: Tensor) -> dict[str, dict[str, float]]:
@@ -81,15 +89,15 @@ def rollout_tests(identified: str, result: MeasuredStudyResult) -> dict[str, dic
     own, gyro = result.models[identified], result.baselines[GYRO]
     lines: dict[str, tuple[Tensor, Tensor]] = {}
     for left_out in ("recording", "session"):
-        first: HeldOut = getattr(own, f"by_{left_out}")
-        lines[f"{identified} - {GYRO}, {left_out} left out"] = first.plain.ade, gyro.ade
+        first = _ways(getattr(own, f"by_{left_out}"), result.rollouts)
+        lines[f"{identified} - {GYRO}, {left_out} left out"] = first[""].ade, gyro.ade
         for name, found in result.models.items():
             if name == identified:
                 continue
-            second: HeldOut = getattr(found, f"by_{left_out}")
-            for how, one, other in zip(("", ", with gyro"), first, second, strict=True):
+            second = _ways(getattr(found, f"by_{left_out}"), result.rollouts)
+            for how, one in first.items():
                 text = f"{name} - {identified}, {left_out} left out{how}"
-                lines[text] = other.ade, one.ade
+                lines[text] = second[how].ade, one.ade
     groups = rollout_groups(result.rollouts)
     return {
         f"{text}; {group}": test

@@ -9,6 +9,7 @@ from diffstack_mmv.identification.report.remarks import (
     lagging_alone,
     misfit,
     other_optima,
+    smoothed_beside_instruments,
     unobservable_parameters,
 )
 from diffstack_mmv.identification.report.result import identification_result, vehicle_provenance
@@ -25,6 +26,7 @@ __all__ = [
     "misfit",
     "other_optima",
     "overall_rmse",
+    "smoothed_beside_instruments",
     "summarise",
     "tracking_losses",
     "unobservable_parameters",

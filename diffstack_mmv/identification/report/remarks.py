@@ -61,6 +61,17 @@ def lagging_alone(smoother: str) -> list[str]:
     ]
 
 
+def smoothed_beside_instruments(smoother: str) -> list[str]:
+    """Of smoothed positions beside instruments that are not: nothing undoes what they differ by."""
+    if smoother.startswith(UNSMOOTHED):
+        return []
+    return [
+        f"The positions are smoothed ({smoother}), the instruments are not: above all the place of "
+        "the antenna is off by more than its deviations say. Convert with smoother=none into "
+        "another cache."
+    ]
+
+
 def smoothed_beside_controls(smoother: str) -> list[str]:
     """Of smoothed positions beside recorded controls: what was done, and what it does not mend."""
     if smoother.startswith(UNSMOOTHED):

@@ -181,12 +181,22 @@ def test_study_reports_the_keys_of_the_contract_and_goes_on_where_it_was(recorde
     entry = content["parameters"]["wheelbase"]
     assert {"initial", "estimate", "low", "high", "unit", "std", "identifiability"} <= set(entry)
     assert entry["interval_95"][0] < entry["estimate"] < entry["interval_95"][1]
-    assert len(measured_tables(content)["Roll-outs"]) > 5
+    tables = measured_tables(content)
+    assert len(tables["Roll-outs"]) > 5
+    recordings = {row["recording"]: row for row in tables["Recordings"]}
+    assert set(recordings) == {ride.recording for ride in synthetic.rides}
+    assert {"steer_offset", "steer_scale", "speed_scale", "delay_s"} <= set(tables["Recordings"][0])
     # all rides are of one session, so that none can be left out
     assert len({session_of(ride.recording) for ride in synthetic.rides}) == 1
     told = json.dumps(content["rollouts"], allow_nan=False)
     assert "recording left out" in told
     assert "session left out" not in told
+    assert "with gyro" in told
+    deaf = result.rollouts._replace(yaw_rate=torch.full_like(result.rollouts.yaw_rate, torch.nan))
+    content = measured_result(study, result._replace(rollouts=deaf), IdentifiabilityThresholds())
+    told = json.dumps([content["rollouts"], content["tests"]])
+    assert "recording left out" in told
+    assert "with gyro" not in told
     vehicle = result.calibrated(spec, "test")
     assert vehicle.wheelbase.initial == pytest.approx(entry["estimate"])
 
