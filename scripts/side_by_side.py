@@ -1,6 +1,7 @@
 """Show several controllers in the same cases, side by side."""
 
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,8 @@ def check(config: DictConfig) -> None:
     named = len(config.names) in (0, len(config.runs))
     require(named, "names", "be one per run, or none", list(config.names))
     for run in config.runs:
+        beside = Path(run).parent.name
+        require(beside == "episodes", "runs", "be folders of episodes", run, "", REMEDY)
         require_file("runs", str(_file(run)), REMEDY)
     first, *others = config.runs
     for run in others:
@@ -39,6 +42,14 @@ def check(config: DictConfig) -> None:
         if found is not None:
             wanted = f"be drives of one {found.place}, {found.before!r} as in {first}"
             raise ValueError(message("runs", wanted, repr(found.now), f"in {run}"))
+
+
+def names_of(runs: Sequence[Path]) -> list[str]:
+    """Names of controllers; where two have the same one, with the folders of their drives."""
+    names = [run.name for run in runs]
+    if len(set(names)) == len(names):
+        return names
+    return [f"{run.name} in {run.parent.parent.name}" for run in runs]
 
 
 def _cases_of(run: str) -> dict[str, Any]:
@@ -80,7 +91,7 @@ def main(config: DictConfig) -> None:
     from diffstack_mmv.simulation import read_episode, read_thoughts
 
     runs, out = [Path(run) for run in config.runs], Path(config.out)
-    names = list(config.names) or [run.name for run in runs]
+    names = list(config.names) or names_of(runs)
 
     def episode(run: Path, case: int) -> Episode:
         settings = _settings(run)

@@ -1,12 +1,14 @@
 """Command lines that Hydra cannot compose: one line that names key, value, place and remedy."""
 
 import sys
+from pathlib import Path
 
 import pytest
 from hydra.core.global_hydra import GlobalHydra
 
 from scripts.navigate import main as navigate
 from scripts.side_by_side import main as side_by_side
+from scripts.side_by_side import names_of
 from scripts.train import main
 
 
@@ -76,10 +78,11 @@ def test_a_group_without_a_choice_is_told_with_its_options(monkeypatch, capsys, 
     ("arguments", "told"),
     [
         ([], "`runs` must name at least two, but got []. Give folders DIR/episodes/NAME"),
+        (["runs=[a,b]", "cases=[3]"], "`runs` must be folders of episodes, but got a. Give folders"),
         (["runs=[a,b]", "cases=[]"], "`cases` must name at least one, but got []."),
     ],
 )
-def test_too_few_runs_or_cases_side_by_side_are_named(
+def test_runs_and_cases_that_cannot_be_side_by_side_are_named(
     arguments, told, monkeypatch, capsys, tmp_path
 ):
     GlobalHydra.instance().clear()
@@ -88,6 +91,12 @@ def test_too_few_runs_or_cases_side_by_side_are_named(
         side_by_side()
     GlobalHydra.instance().clear()
     assert capsys.readouterr().err.startswith(told)
+
+
+def test_controllers_side_by_side_can_be_told_apart():
+    kbm, gm3 = Path("kbm/episodes/diffmpc"), Path("gm3/episodes/diffmpc")
+    assert names_of([kbm, Path("kbm/episodes/mppi")]) == ["diffmpc", "mppi"]
+    assert names_of([kbm, gm3]) == ["diffmpc in kbm", "diffmpc in gm3"]
 
 
 def test_drives_of_other_cases_side_by_side_are_refused(monkeypatch, capsys, tmp_path):
