@@ -28,7 +28,8 @@ def read_identification(folder: Path) -> list[Section]:
         return []
     result = read_json(folder / "identification.json")
     blocks: list[Block] = [facts("Setting", result)]
-    if result.get("models"):
+    # models of measured controls have more than errors: they stand in models.csv, a table by itself
+    if result.get("models") and result.get("controls") != "measured":
         blocks.append(frame_table("Tracking errors [m]", models_table(result["models"]), digits=4))
     for name in ("parameters", "combinations"):
         if result.get(name):

@@ -9,13 +9,21 @@ from diffstack_mmv.reporting.files import told_as_broken
 from diffstack_mmv.reporting.html.blocks import Block, Chart, Section, frame_table
 from diffstack_mmv.reporting.html.quantities import quantity
 
-TABLES = {"table.csv": "Comparison", "tests.csv": "Paired tests", "results.csv": "Results"}
+TABLES = {
+    "table.csv": "Comparison",
+    "models.csv": "Models",
+    "installed.csv": "Installed",
+    "recordings.csv": "Recordings",
+    "rollouts.csv": "Roll-outs",
+    "tests.csv": "Paired tests",
+    "results.csv": "Results",
+}
 """File -> title."""
 LONG = re.compile(r"-?\d+\.\d{5,}(e-?\d+)?")
 
 
 def read_tables(folder: Path) -> list[Section]:
-    """What `compare` and `results` wrote."""
+    """What `compare` and `results` wrote, and `identify` of measured controls."""
     blocks: list[Block] = []
     for name, title in TABLES.items():
         file = folder / name

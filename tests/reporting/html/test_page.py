@@ -6,6 +6,8 @@ from html.parser import HTMLParser
 
 import pytest
 
+from diffstack_mmv.reporting import write_tables
+from diffstack_mmv.reporting.files import read_json
 from diffstack_mmv.reporting.html import read_page, read_record, render, write_page
 from diffstack_mmv.reporting.html.blocks import Gallery, plain
 from diffstack_mmv.reporting.html.tables import read_trajectories
@@ -82,6 +84,24 @@ def test_each_kind_shows_its_parts(kind, titles, tmp_path):
     for title in titles:
         assert title in text
     assert "NaN" not in text.split("<script>")[0]
+
+
+def test_measured_controls_are_shown_as_their_tables_and_nothing_as_it_is_stored(tmp_path):
+    folder = runs.identification(tmp_path / "run")
+    content = read_json(folder / "identification.json") | {"controls": "measured"}
+    content["models"]["kbm"] |= {"installed": {"antenna_ahead_m": {"estimate": 0.2}}}
+    write_tables(folder, content | {"dynamics": "kbm"}, {
+        "Models": [{"model": "kbm", "log evidence": -3.5}],
+        "Installed": [{"model": "kbm", "unknown": "antenna_ahead_m", "estimate": 0.2}],
+        "Recordings": [{"recording": "ride_0", "speed_scale": 0.98}],
+        "Roll-outs": [{"group": "all", "line": "kbm", "ADE": 0.1}],
+    })  # fmt: skip
+    text = page_of(folder).split("<script>")[0]
+    for told in ("Models", "-3.5", "antenna_ahead_m", "ride_0", "0.98", "Roll-outs", "Parameters"):
+        assert told in text
+    assert "{&#x27;" not in text
+    assert "{'" not in text
+    assert "Tracking errors" not in text
 
 
 def test_scenes_hold_an_entry_for_every_time(tmp_path):
