@@ -78,7 +78,7 @@ def test_a_group_without_a_choice_is_told_with_its_options(monkeypatch, capsys, 
     ("arguments", "told"),
     [
         ([], "`runs` must name at least two, but got []. Give folders DIR/episodes/NAME"),
-        (["runs=[a,b]", "cases=[3]"], "`runs` must be folders of episodes, but got a. Give folders"),
+        (["runs=[a,b]", "cases=[3]"], "`runs` must be folders of episodes, but got a. Give"),
         (["runs=[a,b]", "cases=[]"], "`cases` must name at least one, but got []."),
     ],
 )
