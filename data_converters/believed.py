@@ -27,7 +27,7 @@ class Samples(NamedTuple):
     size: Array | None  # n 2, length and width in m where they are measured
 
     def taken(self, index: NDArray[np.integer] | NDArray[np.bool_] | slice) -> Samples:
-        """Some of the samples."""
+        """Some of the samples, by numbers or by truths of the shape (n,)."""
         size = None if self.size is None else self.size[index]
         return Samples(self.time_s[index], self.place[index], self.modes[index], size)
 

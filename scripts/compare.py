@@ -3,7 +3,8 @@
 import logging
 from pathlib import Path
 
-from diffstack_mmv.commands.cli import DictConfig, command, instantiate
+from diffstack_mmv.commands.cli import DictConfig, command
+from diffstack_mmv.commands.records import log_record
 from diffstack_mmv.commands.run_checks import require_reports
 from dmmv_conventions.checks import require_one_of
 from dmmv_conventions.configs import config_folder
@@ -29,7 +30,7 @@ def admit(config: DictConfig) -> None:
 @command(config_folder(), "compare", check, admit)
 def main(config: DictConfig) -> None:
     """Read what evaluate.py wrote and write one table."""
-    from diffstack_mmv.metrics import CLOSED_LOOP, EXCITATION, OPEN_LOOP
+    from diffstack_mmv.metrics import EXCITATION, OPEN_LOOP
     from diffstack_mmv.plotting import save_by_excitation
     from diffstack_mmv.reporting import (
         bootstrap,
@@ -41,7 +42,6 @@ def main(config: DictConfig) -> None:
         write_by_excitation,
         write_comparison,
     )
-    from diffstack_mmv.reporting.html import Titles, read_record
 
     folders = [Path(run) for run in config.runs]
     comparison = compare(read_runs(folders), OPEN_LOOP)
@@ -53,8 +53,7 @@ def main(config: DictConfig) -> None:
     heading, picture = OPEN_LOOP[config.score].heading, Path(config.out) / "excitation.png"
     save_by_excitation(picture, paired.by_setting(), paired.models, titles, heading, bootstrap)
     logger.info("\n%s", markdown_table(comparison.table))
-    if config.get("wandb"):
-        instantiate(config.wandb)(read_record(Path(config.out), Titles(OPEN_LOOP, CLOSED_LOOP)))
+    log_record(config)
     places = " ".join(str(run) for run in (config.out, *config.runs))
     logger.info("As a page: dmmv-report %s", places)
 

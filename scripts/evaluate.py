@@ -16,6 +16,7 @@ from diffstack_mmv.commands.data_checks import (
     told_of_data,
 )
 from diffstack_mmv.commands.evaluation_checks import require_evaluation
+from diffstack_mmv.commands.records import log_record
 from diffstack_mmv.device_checks import usable_device
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
@@ -121,9 +122,8 @@ def main(config: DictConfig) -> None:
         ValueError: A part refuses.
     """
     from diffstack_mmv.data import split_windows
-    from diffstack_mmv.metrics import CLOSED_LOOP, EVALUATED, PREDICTED
+    from diffstack_mmv.metrics import EVALUATED, PREDICTED
     from diffstack_mmv.reporting import summarise_modes, write_metrics, write_parquet
-    from diffstack_mmv.reporting.html import Titles, read_record
     from diffstack_mmv.stack import evaluate_windows
 
     out, (stack, trained, module, header) = Path(config.out), _prepared(config)
@@ -154,8 +154,7 @@ def main(config: DictConfig) -> None:
     if config.plots:
         _draw(config, stack, windows, evaluation)
     write_metrics(out, header | metrics, scores)
-    if config.get("wandb"):
-        instantiate(config.wandb)(read_record(out, Titles(scores, CLOSED_LOOP)))
+    log_record(config, scores)
     logger.info("Report: %s; as a page: dmmv-report %s", out / "metrics.md", out)
 
 

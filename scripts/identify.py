@@ -10,6 +10,7 @@ from typing import Any
 
 from diffstack_mmv.commands.cli import DictConfig, OmegaConf, command, instantiate, refuse_beside
 from diffstack_mmv.commands.data_checks import require_step_of, require_tracks
+from diffstack_mmv.commands.records import log_record
 from diffstack_mmv.commands.run_checks import require_same_run
 from dmmv_conventions.checks import message, require
 from dmmv_conventions.configs import config_folder
@@ -70,16 +71,10 @@ def main(config: DictConfig) -> None:
     Raises:
         ValueError: The tracks do not inform the problem.
     """
-    if config.controls == MEASURED:
-        identify_measured(config)
-    else:
-        identify_tracks(config)
+    identify = identify_measured if config.controls == MEASURED else identify_tracks
+    identify(config)
     out = Path(config.out)
-    if config.get("wandb"):
-        from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
-        from diffstack_mmv.reporting.html import Titles, read_record
-
-        instantiate(config.wandb)(read_record(out, Titles(OPEN_LOOP, CLOSED_LOOP)))
+    log_record(config)
     logger.info("Report: %s; as a page: dmmv-report %s", out / "identification.md", out)
 
 
@@ -190,9 +185,9 @@ def identify_measured(config: DictConfig) -> None:
         logger.warning(told)
     rides = measured_rides(*read_rides(source, config.splits, study.spec.mode))
     result = study(rides, builders(config))
-    header = {**config.header, "date": date.today().isoformat(), "controls": MEASURED}
+    header = {**config.header, "date": date.today().isoformat()}
+    header |= {"controls": MEASURED, "remarks": remarks}
     content = measured_result(study, result, instantiate(config.thresholds))
-    content["remarks"] = remarks
     write_tables(out, header | content, measured_tables(content))
     vehicle = result.calibrated(study.spec, f"identified from rides of {config.data.name}")
     told = ("tracks", "loss_before", "loss_after", "heldout_before", "heldout_after", "models")

@@ -16,6 +16,7 @@ from diffstack_mmv.commands.cli import (
     instantiate,
 )
 from diffstack_mmv.commands.drive_checks import require_drive, tell_unused
+from diffstack_mmv.commands.records import log_record
 from dmmv_conventions.configs import config_folder
 from dmmv_conventions.pretrained import checkpoint_path
 from dmmv_conventions.progress import counted
@@ -140,9 +141,8 @@ def main(config: DictConfig) -> None:
     """Run the benchmark of the controller and of its baselines; write tables, plots, animations."""
     import torch
 
-    from diffstack_mmv.metrics import CLOSED_LOOP, OPEN_LOOP
+    from diffstack_mmv.metrics import CLOSED_LOOP
     from diffstack_mmv.reporting import paired_cases, paired_with_run, write_closed_loop
-    from diffstack_mmv.reporting.html import Titles, read_record
     from diffstack_mmv.simulation import models_told, require_stoppable, summarise
 
     torch.manual_seed(config.seed)
@@ -175,8 +175,7 @@ def main(config: DictConfig) -> None:
     write_closed_loop(out, result, rows, CLOSED_LOOP, published, pairs)
     _draw(config, own, chunks)
     _tell_times(result)
-    if config.get("wandb"):
-        instantiate(config.wandb)(read_record(out, Titles(OPEN_LOOP, CLOSED_LOOP)))
+    log_record(config)
     logger.info("Report: %s; as a page: dmmv-report %s", out / "closed_loop.md", out)
 
 

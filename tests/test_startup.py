@@ -26,6 +26,7 @@ LIGHT = {
     "diffstack_mmv.commands.evaluation_checks",
     "diffstack_mmv.commands.experiment_jobs",
     "diffstack_mmv.commands.jobs",
+    "diffstack_mmv.commands.records",
     "diffstack_mmv.commands.run_checks",
     "diffstack_mmv.commands.table_jobs",
     "diffstack_mmv.commands.training_checks",

@@ -105,13 +105,12 @@ class TrajdataWindows(CachedUnifiedDataset):
         self.windows = windows
         self._remedies = {each.name: conversion_of(each.name, cache) for each in environments}
         self.counts = WindowCounts(windows)
-        history, future = windows.history_s, windows.horizon_s
         super().__init__(
             environments,
             desired_data=[query],
             desired_dt=_Step(windows.dt_s),
-            history_sec=(history, history),
-            future_sec=(future, future),
+            history_sec=(windows.history_s, windows.history_s),
+            future_sec=(windows.horizon_s, windows.horizon_s),
             agent_interaction_distances=_OneRadius(windows.radius_m),
             only_predict=list(windows.modes),  # type: ignore[arg-type]
             state_format=STATE_FORMAT_STR,
@@ -179,16 +178,14 @@ class TrajdataWindows(CachedUnifiedDataset):
 
     def _remedy(self, scene_path: str | Path) -> str:
         """How to make the files of a scene anew: our conversion, or what trajdata itself keeps."""
-        environment = Path(scene_path).parents[1]
-        anew = f"Delete {environment} and run again: it is made anew."
-        return self._remedies.get(environment.name, anew)
+        folder = Path(scene_path).parents[1]
+        return self._remedies.get(folder.name, f"Delete {folder} and run again: it is made anew.")
 
     def locations(self) -> WindowLocation:
         """List every `stride`-th window of each agent, scene by scene."""
         index: Any = self._data_index
         elements, rows, modes = [], [], []
-        scenes: list[str] = []
-        agents: list[str] = []
+        scenes, agents = list[str](), list[str]()
         for number, offset in enumerate(index._cumulative_lengths[:-1]):
             scene = Path(str(index._scene_paths[number], encoding="utf-8")).parent.name
             starts = index._cumulative_scene_lengths[number][:-1]

@@ -187,7 +187,7 @@ class DiffStackMMV(pl.LightningModule):
         return recorded if self.goal.uses_future else torch.ones_like(recorded)
 
     def training_step(self, batch: StackBatch, batch_idx: int) -> Tensor:
-        """Weighted sum of the losses, each a mean over the samples that it can judge.
+        """Weighted sum of the losses, shape (), each a mean over the samples that it can judge.
 
         Nothing is planned where planning and control weigh nothing.
         """
