@@ -156,7 +156,9 @@ class MultiAgentDataset(RecordingDataset):
     def _repeated(self) -> dict[Path, Path]:
         """By file that repeats an earlier one byte by byte, packed or not, the first."""
         first: dict[str, Path] = {}
-        marks = {path: fingerprint_of(path, unpack=True) for path in self._read_files()}
+        marks = self._marks | {
+            path: fingerprint_of(path, unpack=True) for path in self._marks if path.suffix == ".gz"
+        }
         originals = {path: first.setdefault(mark, path) for path, mark in marks.items()}
         return {path: original for path, original in originals.items() if path != original}
 
