@@ -70,14 +70,14 @@ def require_fitting(
     key = (kind(dynamics), kind(cost), state.shape, controls.shape, state.dtype)
     if key in _known or controls.numel() == 0:
         return
-    after = _untouched("dynamics", dynamics, state, controls[..., 0, :])
+    after = untouched("dynamics", dynamics, state, controls[..., 0, :])
     require_tensor("dynamics(state, control)", after)
     found, wanted = tuple(after.shape), tuple(state.shape)
     require(found == wanted, "dynamics", f"return the shape {wanted} of the state", found)
     _require_precision("dynamics", after, state)
     states = state.unsqueeze(-2).repeat_interleave(controls.shape[-2] + 1, -2)
     padded = pad_controls(controls)
-    value = _untouched("cost", cost, states, padded)
+    value = untouched("cost", cost, states, padded)
     require_tensor("cost(states, controls)", value)
     found, wanted = tuple(value.shape), tuple(states.shape[:-1])
     remedy = "Sum over the columns of states and controls only: one cost per problem and time."
@@ -133,8 +133,12 @@ def _require_entries(name: str, function: object, batch: torch.Size) -> None:
         require(fits, f"{name}.tensors", wanted, f"shape {found}", "", remedy)
 
 
-def _untouched(name: str, function: Callable[..., Tensor], *arguments: Tensor) -> Tensor:
-    """The result for copies; a function that writes into them, as into a state, is refused."""
+def untouched(name: str, function: Callable[..., Tensor], *arguments: Tensor) -> Tensor:
+    """The result for copies, of any shape; a function that writes into them is refused.
+
+    Raises:
+        ValueError: It does.
+    """
     copies = [each.clone() for each in arguments]
     result = function(*copies)
     # what inference mode makes counts no writes

@@ -150,6 +150,9 @@ def test_what_writes_into_its_arguments_is_refused_before_it_reaches_those_of_th
     assert torch.equal(start, torch.ones_like(STATE))
     with pytest.raises(ValueError, match=f"`cost` {refused}"):
         ILQR()(step, growing, BOX, start, CONTROLS)
+    wall = Inequality(lambda states, controls: growing(states, controls).unsqueeze(-1))
+    with pytest.raises(ValueError, match=rf"`constraints\[0\]` {refused}"):
+        ConstrainedILQR()(step, cost, [wall], BOX, start, CONTROLS)
 
 
 @pytest.mark.usefixtures("unchecked")

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import message, require, require_callable, require_tensor
 from diffstack_mmv.control.expansion import pad_controls
-from diffstack_mmv.control.fitting import require_fitting_constraint
+from diffstack_mmv.control.fitting import require_fitting_constraint, untouched
 from diffstack_mmv.control.optimizer import ConstraintFunction, Constraints
 from diffstack_mmv.control.selection import Selectable
 
@@ -146,13 +146,13 @@ def gather(
 
     Raises:
         ValueError: A constraint function does not return one row per time, or one that looks at
-            other times, or holds at none, or a price does not broadcast or is negative, or that of
-            squares infinite.
+            other times, or writes into its arguments, or holds at none, or a price does not
+            broadcast or is negative, or that of squares infinite.
     """
     acting, parts = pad_controls(controls), []
     for number, constraint in enumerate(constraints):
         name = f"constraints[{number}]"
-        values = constraint.function(states, acting)
+        values = untouched(name, constraint.function, states, acting)
         require_tensor(f"{name}(states, controls)", values)
         require(
             values.shape[:-1] == states.shape[:-1],
