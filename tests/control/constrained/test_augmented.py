@@ -19,7 +19,7 @@ from tests.control.constrained.test_solver import BOX, cart, reach, rest
 
 pytestmark = [
     pytest.mark.usefixtures("double"),
-    pytest.mark.skipif(not can_compile(), reason="no compiler"),
+    pytest.mark.skipif(not can_compile(), reason="the compiled solver needs a C++ compiler"),
 ]
 COMPILED = ILQR(compile=True)
 END = slice(-1, None)
