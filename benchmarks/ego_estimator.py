@@ -17,6 +17,7 @@ import torch
 
 from diffstack_mmv.data import ConvertedCache, read_rides
 from diffstack_mmv.dynamics.catalogue import model_of
+from diffstack_mmv.geometry import direction
 from diffstack_mmv.identification.measured import (
     EgoEstimator,
     MeasuredStudy,
@@ -41,8 +42,9 @@ def measurement(ride, step):
 
 def rolled(simulator, shared, estimate, window, driven):
     """Positions over the future of a window from an estimate at its start."""
-    pose = estimate.state[:, :POSE].clone()
-    pose[:, :2] -= window.origin
+    pose, moving = estimate.state[:, :POSE].clone(), estimate.motion
+    ahead = simulator.lead_s * moving.velocity[:, :1] * direction(moving.heading)
+    pose[:, :2] -= window.origin + ahead
     errors = pose.new_zeros(1, 2 * simulator.knots(window.steps))
     local = torch.cat([pose, estimate.instruments, driven, errors], -1)
     return simulator.simulate(window, shared, local).position

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least
 from diffstack_mmv.dynamics import DynamicsModel
+from diffstack_mmv.geometry import direction
 from diffstack_mmv.identification.measured.estimation import WindowEstimate, estimate_windows
 from diffstack_mmv.identification.measured.given import (
     CourseGiven,
@@ -123,10 +124,12 @@ class EgoEstimator:
         """The end of the most probable path."""
         model = self.simulator.model
         path = self.simulator.simulate(windows, self.shared, found.local)
-        # positions come first in every state, whatever else the model has
         now = path.states[:, -1].clone()
-        now[:, :2] = now[:, :2] + windows.origin
-        motion = model.motion(now, now.new_zeros(len(now), model.control_dim))
+        idle = now.new_zeros(len(now), model.control_dim)
+        ahead = self.simulator.lead_s * path.speed[:, -1:]
+        # positions come first in every state, whatever else the model has
+        now[:, :2] += windows.origin + ahead * direction(model.motion(now, idle).heading)
+        motion = model.motion(now, idle)
         own = slice(POSE, POSE + RECORDING)
         deviation = found.covariance[:, own, own].diagonal(dim1=-2, dim2=-1).sqrt()
         return EgoEstimate(now, motion, found.recording, deviation)

@@ -104,8 +104,18 @@ class RideSimulator:
         self.model, self.parameters, self.noise = model, parameters, noise
         self._steering, self._step = SteerPerCurvature(model), Step(model)
         self._beginning = Beginning(model, spec.wheelbase.entries()[0][0])
-        self._antenna = Antenna(model, turning_axle_m(spec.wheels))
+        self._antenna = Antenna(model, turning_axle_m(spec.wheels), self.lead_s)
         self.spec = spec
+
+    @property
+    def lead_s(self) -> float:
+        """By what time of travel a vehicle is ahead of its states, s.
+
+        Half a step for a model that `acts_a_step_late`. Its way is the sum of speed and course at
+        the starts of the steps; half a step more at the end, and less at the start, makes it
+        that of the trapezoidal rule.
+        """
+        return 0.5 * self.model.dt_s if self.model.acts_a_step_late else 0.0
 
     def under(self, noise: MeasurementNoise) -> "RideSimulator":
         """The same vehicle under another noise."""

@@ -78,11 +78,16 @@ class Antenna(torch.nn.Module):
     """Where the antenna is, and how fast the vehicle turns.
 
     The antenna is moved sideways by the coordinated lean atan(v r / g).
+
+    Args:
+        model: The dynamics.
+        axle_m: Longitudinal position of the axle that the antenna is measured from, m.
+        lead_s: By what time of travel a vehicle is ahead of its states, s.
     """
 
-    def __init__(self, model: DynamicsModel, axle_m: float) -> None:
+    def __init__(self, model: DynamicsModel, axle_m: float, lead_s: float) -> None:
         super().__init__()
-        self.model, self.axle_m = model, axle_m
+        self.model, self.axle_m, self.lead_s = model, axle_m, lead_s
 
     def forward(
         self,
@@ -97,10 +102,10 @@ class Antenna(torch.nn.Module):
         seen = model.motion(states, idle)
         yaw_rate = seen.heading.diff(dim=-1) / model.dt_s
         aside = height * torch.atan(at_ends(yaw_rate) * speed / GRAVITY)
-        ahead = ahead - model.reference_ahead_m + self.axle_m
+        ahead = ahead - model.reference_ahead_m + self.axle_m + self.lead_s * speed
         along = direction(seen.heading)
         across = torch.stack([-along[..., 1], along[..., 0]], -1)
-        place = seen.position + ahead * along
+        place = seen.position + ahead.unsqueeze(-1) * along
         return place + aside.unsqueeze(-1) * across, yaw_rate
 
 

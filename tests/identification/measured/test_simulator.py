@@ -1,5 +1,7 @@
 """Derivatives of simulated rides, chained from those of single steps."""
 
+import math
+
 import pytest
 import torch
 from torch.func import jacfwd
@@ -53,3 +55,34 @@ def test_derivatives_are_those_of_the_simulation(dynamics, own):
     alone = simulator.linearise(windows, shared, local, by_shared=False)
     torch.testing.assert_close(alone.local, by_local)
     assert alone.shared.shape[-1] == 0
+
+
+@pytest.mark.parametrize("dynamics", ["kbm", "unicycle"])
+def test_the_way_of_the_antenna_is_that_of_a_vehicle_in_continuous_time(dynamics):
+    """A circle: the error falls with the square of the step, wherever the antenna is."""
+    spec, length_s, speed_mps, steer, ahead_m = load_vehicle("autobike"), 2.0, 3.0, 0.2, 0.4
+    radius_m = spec.wheelbase.entries()[0][0] / math.tan(steer)
+
+    def error_m(steps: int) -> float:
+        model = model_of(spec, dynamics, length_s / steps).double()
+        parameters = ParameterVector(model, spec)
+        simulator = RideSimulator(model, parameters, MeasurementNoise(), spec)
+        ends = torch.zeros(1, steps + 1, dtype=torch.float64)
+        means = ends[:, 1:]
+        windows = RideWindows(
+            torch.zeros(1), (), ends[:, :2], ends.unsqueeze(-1).expand(-1, -1, 2), ends, ends > -1,
+            means + steer, means, ends + speed_mps, means, ends,
+        )  # fmt: skip
+        local = torch.zeros(1, POSE + RECORDING + COASTING + 2 * simulator.knots(steps)).double()
+        local[:, POSE + 1] = local[:, POSE + 2] = 1  # scales of steering and speed
+        local[:, POSE + RECORDING] = -10  # the wheel is not outrun
+        shared = torch.cat([parameters.start(), torch.tensor([ahead_m, 0.0, 1.0]).double()])
+        way = simulator.simulate(windows, shared, local).position[0]
+        course = speed_mps / radius_m * torch.linspace(0, length_s, steps + 1).double()
+        x = radius_m * course.sin() + ahead_m * course.cos()
+        y = ahead_m * course.sin() - radius_m * course.cos()
+        true = torch.stack([x, y], -1)
+        return float((way - way[:1] - true + true[:1]).norm(dim=-1).max())
+
+    assert error_m(20) < 0.01
+    assert error_m(40) < 0.3 * error_m(20) + 1e-9
