@@ -19,6 +19,7 @@ PRICES = 1e3, 1e6  # of a violation in the elastic problem, the gradient of the 
 NARROW = (
     1e-2  # gradient of a constraint relative to the steepest one, below which it counts as that
 )
+FINEST = 100.0  # violations, in units of the precision, below which none can be told from another
 
 
 @dataclass(frozen=True)
@@ -63,14 +64,15 @@ class Phases:
         return progress._replace(status=limit)
 
     def _unconstrained(self, problem: Problem, progress: Progress, guess: Tensor) -> Progress:
-        """Finished is where a solution without constraints touches none of them.
+        """Finished is where a solution without constraints violates none of them.
 
-        So is a problem that runs off to infinity without touching any.
+        Touching is no violation: a vehicle that stands at its goal and may not reverse stays. So
+        is a problem finished that runs off to infinity without violating any.
         """
         dynamics, cost, rows, bounds, state = problem
         plain = self.solver(dynamics, cost, bounds, state, guess)
         values = rows.values(plain.states, pad_controls(plain.controls))
-        clear = torch.where(rows.signed, values == 0, values < 0) | ~rows.applies
+        clear = rows.excess(values) <= FINEST * torch.finfo(values.dtype).eps
         free = progress.is_open & clear.flatten(-2).all(-1)
         progress = progress.counted(plain.iterations)
         point = PrimalDual(plain.controls, torch.zeros_like(values))

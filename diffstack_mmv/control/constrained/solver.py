@@ -29,15 +29,13 @@ from diffstack_mmv.control.constrained.constraint import (
 from diffstack_mmv.control.constrained.implicit import attach
 from diffstack_mmv.control.constrained.local import Problem
 from diffstack_mmv.control.constrained.newton import PrimalDual
-from diffstack_mmv.control.constrained.phases import Phases
+from diffstack_mmv.control.constrained.phases import FINEST, Phases
 from diffstack_mmv.control.constrained.solution import ConstrainedSolution
 from diffstack_mmv.control.expansion import pad_controls
 from diffstack_mmv.control.fitting import require_fitting, require_tensors
 from diffstack_mmv.control.ilqr import ILQR, check_problem
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.types import Bounds
-
-FINEST = 100.0  # violations, in units of the precision, below which none can be told from another
 
 
 @dataclass(frozen=True)
@@ -47,7 +45,7 @@ class ConstrainedILQR:
         min Σ_t c_t(x_t, u_t)  subject to  x_{t+1} = f(x_t, u_t),  lower ≤ u_t ≤ upper,
         g(x_t, u_t) ≤ 0,  h(x_t, u_t) = 0  at any of the times 0 .. T,  x_0 given
 
-    Where the solution of `solver` touches no constraint, it is the answer. All other problems go
+    Where the solution of `solver` violates no constraint, it is the answer. All other problems go
     through a primal-dual interior-point method with free states (multiple shooting) from the given
     guess, and then through Newton's method on the optimality conditions with the active set fixed,
     which leaves violations of the order of the rounding. Problems that do not come through are

@@ -5,6 +5,7 @@ import torch
 
 from diffstack_mmv.control import ILQR, Batched, Bounds, Constraints, SolverStatus, Unrolled
 from diffstack_mmv.control.constrained import (
+    HARD,
     ConstrainedILQR,
     Equality,
     Inequality,
@@ -68,6 +69,30 @@ def test_constraints_that_nothing_touches_change_nothing():
     solution = brought([far])
     assert (solution.controls == plain.controls).all()
     assert (solution.multipliers[0] == 0).all()
+
+
+def backwards(states, forces):
+    return -states[..., 1:]
+
+
+@pytest.mark.parametrize("goal", [3.0, 0.1 + 0.2])
+@pytest.mark.parametrize("slack", [HARD, Slack(5.0), Slack(quadratic=2.0)])
+@pytest.mark.parametrize("kind", [Inequality, Equality])
+def test_a_cart_that_stands_at_its_goal_and_may_not_reverse_stays(kind, slack, goal):
+    """There the cost is zero, and rounding alone moves the cart backwards."""
+    limits = [kind(backwards, slack), Inequality(lambda x, u: x[..., :1] - goal)]
+    start = torch.tensor([[0.3, 0.0]]) if goal < 1 else torch.tensor([[goal, 0.0]])
+    wanted = torch.tensor(goal, requires_grad=True)
+
+    def cost(states, forces):
+        effort = 0.3 * states[..., 1].square() + 0.01 * forces[..., 0].square()
+        return (states[..., 0] - wanted).square() + effort
+
+    found = SOLVER(cart, cost, limits, BOX, start, torch.zeros(1, 10, 1))
+    assert found.status.tolist() == [SolverStatus.CONVERGED]
+    assert found.controls.abs().max() < 1e-14
+    (slope,) = torch.autograd.grad(found.states.sum(), wanted)
+    assert slope.isfinite()
 
 
 def test_inequality_equality_and_box_hold_together():
