@@ -32,8 +32,15 @@ class Conclusion(NamedTuple):
         return ConstrainedSolution(*[x, u, cost, *rest, multipliers.split(list(widths), -1)])
 
 
-def conclude(problem: Problem, progress: Progress) -> Conclusion:
-    """Trajectories, active set, residual and cost at the end."""
+def conclude(problem: Problem, progress: Progress, exact: bool) -> Conclusion:
+    """Trajectories, active set, residual and cost at the end.
+
+    Args:
+        problem: The problems, without graph.
+        progress: How they ended.
+        exact: Whether a gradient is taken, which needs derivatives of second order: that of a
+            length has none at zero.
+    """
     lower, upper = problem.bounds
     u = progress.u.nan_to_num(0.0).clamp(lower, upper)
     x = problem.rollout(u)
@@ -48,6 +55,9 @@ def conclude(problem: Problem, progress: Progress) -> Conclusion:
     gradient = local.gradient.view(u.shape)
     residual = (u - (u - gradient).clamp(lower, upper)).abs().amax((-2, -1))
     finite = x.isfinite().all(-1).all(-1) & total.isfinite() & residual.isfinite()
+    if exact:
+        for part in local:
+            finite = finite & problem.unflat(part.isfinite().unsqueeze(-1).flatten(1).all(1))
     bad = (progress.status == SolverStatus.CONVERGED) & ~finite
     status = torch.where(bad, SolverStatus.NOT_FINITE, progress.status)
     valid = (status == SolverStatus.CONVERGED).reshape(-1)

@@ -185,7 +185,7 @@ class ConstrainedILQR:
                     return self._completed(fixed, u, approach)
                 start = PrimalDual(approach.plain.controls, approach.multipliers)
             phases = self._phases(fixed, exact=differentiates)
-            conclusion = conclude(fixed, phases.run(fixed, u, start))
+            conclusion = conclude(fixed, phases.run(fixed, u, start), exact=differentiates)
         attached = attach(posed, conclusion.point) if differentiates else None
         return conclusion.solution(posed.rows.widths, attached)
 
@@ -214,7 +214,7 @@ class ConstrainedILQR:
         rest = problem.select(index)
         start = PrimalDual(approach.plain.controls[index], approach.multipliers[index])
         phases = self._phases(rest, exact=False)
-        conclusion = conclude(rest, phases.run(rest, u[index], start))
+        conclusion = conclude(rest, phases.run(rest, u[index], start), exact=False)
         return found.replaced(index, conclusion.solution(problem.rows.widths, None))
 
     def _phases(self, problem: Problem, exact: bool) -> Phases:

@@ -22,7 +22,7 @@ CONVERGED, LOST = int(SolverStatus.CONVERGED), int(SolverStatus.NOT_FINITE)
 def concluded(problem: Problem, controls: Tensor, *status: int) -> Conclusion:
     """The end of problems that were left with these controls and statuses."""
     left = torch.tensor(status or [CONVERGED] * len(controls))
-    return conclude(problem, begin(problem, controls)._replace(status=left))
+    return conclude(problem, begin(problem, controls)._replace(status=left), exact=False)
 
 
 def told(problem: Problem, controls: Tensor, *status: int) -> ConstrainedSolution:

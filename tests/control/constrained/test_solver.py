@@ -95,6 +95,25 @@ def test_a_cart_that_stands_at_its_goal_and_may_not_reverse_stays(kind, slack, g
     assert slope.isfinite()
 
 
+def test_without_a_second_derivative_a_solution_has_no_gradient_instead_of_nan():
+    """The last force moves nothing any more, and is zero: there a length has none."""
+    goal = torch.tensor(3.0, requires_grad=True)
+
+    def cost(states, forces):
+        return (states[..., 0] - goal).square() + 0.01 * forces[..., 0].square()
+
+    def length(states, forces):
+        return torch.cat([forces, forces], -1).norm(dim=-1, keepdim=True) - 30
+
+    limits, box = [Inequality(length, times=slice(-1))], Bounds(-9 * torch.ones(1), torch.ones(1))
+    given = cart, cost, limits, box, torch.zeros(1, 2), torch.full((1, 10, 1), 0.1)
+    found = SOLVER(*given)
+    assert found.status.tolist() == [SolverStatus.NOT_FINITE]
+    assert torch.autograd.grad(found.states.sum(), goal)[0] == 0
+    with torch.no_grad():
+        assert SOLVER(*given).converged.all()
+
+
 def test_inequality_equality_and_box_hold_together():
     tight = Bounds(torch.tensor([-5.0]), torch.tensor([5.0]))
     solution = brought([Inequality(wall), Equality(rest, times=slice(-1, None))], tight)
