@@ -40,7 +40,7 @@ class Inequality:
         function: Gives the values of g.
         slack: Price of a violation; `HARD` if there must be none.
         times: The times of 0 .. T at which it holds: `slice(1, None)` leaves out the given start,
-            `slice(-1, None)` is the end alone.
+            `slice(-1, None)` is the end alone, `slice(-1)` leaves it out, where controls are zero.
     """
 
     function: ConstraintFunction
@@ -91,12 +91,21 @@ class ConstraintRows(NamedTuple):
     signed: Bool[Tensor, " K"]  # equalities, whose multiplier has either sign
     applies: Bool[Tensor, "T1 K"]  # times at which a constraint holds
     widths: tuple[int, ...]  # how many of the K belong to each constraint
+    asked: tuple[Int[Tensor, " T1"], ...]  # at which time each function is asked instead of each
 
     def values(
         self, states: Float[Tensor, "*b T1 n"], controls: Float[Tensor, "*b T1 m"]
     ) -> Float[Tensor, "*b T1 K"]:
-        """Values of all constraints, zero where they do not apply."""
-        return torch.where(self.applies, joined(self.functions, states, controls), 0.0)
+        """Values of all constraints, zero where they do not apply.
+
+        There a function is asked at a time at which it does: zero times a derivative that is not
+        finite, such as that of the length of no control at the end, would not be zero.
+        """
+        values = [
+            function(states[..., at, :], controls[..., at, :])
+            for function, at in zip(self.functions, self.asked, strict=True)
+        ]
+        return torch.where(self.applies, torch.cat(values, -1), 0.0)
 
     @property
     def signed_functions(self) -> list[bool]:
@@ -128,15 +137,6 @@ class ConstraintRows(NamedTuple):
         return (linear * slack + 0.5 * self.quadratic * slack.square()).sum((-2, -1))
 
 
-def joined(
-    functions: Sequence[ConstraintFunction],
-    states: Float[Tensor, "*b T1 n"],
-    controls: Float[Tensor, "*b T1 m"],
-) -> Float[Tensor, "*b T1 K"]:
-    """Values of several constraint functions side by side."""
-    return torch.cat([function(states, controls) for function in functions], -1)
-
-
 def gather(
     constraints: Sequence[Constraint],
     states: Float[Tensor, "*b T1 n"],
@@ -148,8 +148,9 @@ def gather(
         ValueError: A constraint function does not return one row per time, or one that looks at
             other times, or writes into its arguments, or holds at none, or a price does not
             broadcast or is negative, or that of squares infinite.
+        TypeError: A price is no number, or a slice of times is not one of whole numbers.
     """
-    acting, parts = pad_controls(controls), []
+    acting, parts, asked = pad_controls(controls), [], []
     for number, constraint in enumerate(constraints):
         name = f"constraints[{number}]"
         values = untouched(name, constraint.function, states, acting)
@@ -162,8 +163,9 @@ def gather(
         )
         require_fitting_constraint(name, constraint.function, states, acting, values)
         applies = torch.zeros(values.shape[-2:], dtype=torch.bool, device=values.device)
-        applies[constraint.times] = True
-        _require_times(f"{name}.times", constraint.times, len(applies))
+        chosen = _times(f"{name}.times", constraint.times, len(applies))
+        applies[list(chosen)] = True
+        asked.append([time if time in chosen else chosen[0] for time in range(len(applies))])
         linear, quadratic = (
             _priced(price, values, applies, f"{name}.slack.{which}")
             for which, price in vars(constraint.slack).items()
@@ -173,7 +175,8 @@ def gather(
     columns = (torch.cat(part, -1) for part in zip(*parts, strict=True))
     widths = tuple(applies.shape[1] for *_, applies in parts)
     functions = tuple(constraint.function for constraint in constraints)
-    return ConstraintRows(*[functions, *columns, widths])
+    at = tuple(torch.tensor(times, device=states.device) for times in asked)
+    return ConstraintRows(*[functions, *columns, widths, at])
 
 
 def require_constraints(constraints: object) -> None:
@@ -197,10 +200,14 @@ def require_constraints(constraints: object) -> None:
         _require_kind(f"{name}.times", constraint.times, "a slice", slice, remedy)
 
 
-def _require_times(name: str, times: slice, count: int) -> None:
-    """Refuse times none of which the horizon has: the constraint would hold nowhere."""
-    some = len(range(*times.indices(count))) > 0
-    require(some, name, f"choose at least one of the times 0 .. {count - 1}", times)
+def _times(name: str, times: slice, count: int) -> range:
+    """The chosen ones of 0 .. T; with none of them the constraint would hold nowhere."""
+    try:
+        chosen = range(count)[times]
+    except (TypeError, ValueError) as unable:
+        raise type(unable)(message(name, "be a slice of whole numbers", times)) from None
+    require(len(chosen) > 0, name, f"choose at least one of the times 0 .. {count - 1}", times)
+    return chosen
 
 
 def _require_kind(name: str, value: object, wanted: str, kind: Any, remedy: str) -> None:
@@ -208,12 +215,21 @@ def _require_kind(name: str, value: object, wanted: str, kind: Any, remedy: str)
         raise TypeError(message(name, f"be {wanted}", type(value).__name__, "", remedy))
 
 
+def _require_all(fits: Tensor, given: Tensor, name: str, wanted: str, remedy: str = "") -> None:
+    """Refuse numbers by the first one that does not fit: all would be a page."""
+    if not bool(fits.all()):
+        raise ValueError(message(name, wanted, float(given[~fits][0]), "", remedy))
+
+
 def _priced(price: float | Tensor, values: Tensor, applies: Tensor, name: str) -> Tensor:
-    given = torch.as_tensor(price, dtype=values.dtype, device=values.device)
-    require(bool((given >= 0).all()), name, "be zero or positive", given.tolist())
+    try:
+        given = torch.as_tensor(price, dtype=values.dtype, device=values.device)
+    except (TypeError, ValueError):
+        raise TypeError(message(name, "be a number or a tensor", repr(price))) from None
+    _require_all(given >= 0, given, name, "be zero or positive")
     if name.endswith("quadratic"):
         remedy = "A violation without a price that it could pay is that of Slack(math.inf)."
-        require(bool(given.isfinite().all()), name, "be finite", given.tolist(), "", remedy)
+        _require_all(given.isfinite(), given, name, "be finite", remedy)
     try:
         whole = given.expand(values.shape)
     except RuntimeError:

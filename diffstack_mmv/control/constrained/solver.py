@@ -237,15 +237,10 @@ def _given(multipliers: Sequence[Tensor] | None, rows: ConstraintRows) -> Tensor
     listed = not isinstance(multipliers, Tensor) and count == wanted
     found = "a tensor" if isinstance(multipliers, Tensor) else f"{count} of them"
     require(listed, "multipliers", f"be a list of {wanted}, one per constraint", found, "", remedy)
-    for number, each in enumerate(multipliers):
-        require_tensor(f"multipliers[{number}]", each)
+    for number, (each, width) in enumerate(zip(multipliers, rows.widths, strict=True)):
+        name, shape = f"multipliers[{number}]", (*none.shape[:-1], width)
+        require_tensor(name, each)
+        found = tuple(each.shape)
+        require(found == shape, name, f"have shape {shape}", found, remedy=remedy)
     given = torch.cat(list(multipliers), -1).detach().to(none)
-    shape = tuple(none.shape)
-    require(
-        given.shape == none.shape,
-        "multipliers",
-        f"have shape {shape} side by side",
-        tuple(given.shape),
-        remedy=remedy,
-    )
     return torch.where(rows.applies, given, none)

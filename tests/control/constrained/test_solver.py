@@ -95,6 +95,29 @@ def test_a_cart_that_stands_at_its_goal_and_may_not_reverse_stays(kind, slack, g
     assert slope.isfinite()
 
 
+@pytest.mark.parametrize("limit", [4.0, 30.0], ids=["reached", "far"])
+def test_a_length_of_the_force_limits_it_until_the_end_where_there_is_none(limit):
+    """At the end the controls are zero, where a length has no derivative."""
+
+    def cost(states, forces):
+        return reach(states, forces) + 0.3 * states[..., 1].square()
+
+    def length(states, forces):
+        return torch.hypot(forces, states[..., 1:] * forces) - limit
+
+    def squared(states, forces):
+        square = forces.square() * (1 + states[..., 1:].square())
+        return square / limit**2 - 1
+
+    given = BOX, torch.zeros(1, 2), torch.full((1, 10, 1), 0.1)
+    found, expected = (
+        SOLVER(cart, cost, [Inequality(each, times=slice(-1))], *given)
+        for each in (length, squared)
+    )
+    assert found.converged.all()
+    torch.testing.assert_close(found.controls, expected.controls)
+
+
 def test_without_a_second_derivative_a_solution_has_no_gradient_instead_of_nan():
     """The last force moves nothing any more, and is zero: there a length has none."""
     goal = torch.tensor(3.0, requires_grad=True)
@@ -407,6 +430,7 @@ def test_too_few_iterations_are_a_status():
         (lambda x, u: x[..., :1].detach(), {}, "must be differentiable in state or control"),
         (lambda x, u: x[..., :1].float(), {}, "must return torch.float64 as the state"),
         (wall, {"slack": Slack(linear=-1.0)}, r"slack.linear.*must be zero or positive"),
+        (wall, {"slack": Slack(torch.tensor([[[2.0]], [[-1.0]], [[2.0]]]))}, r"but got -1\.0\."),
         (wall, {"slack": Slack(quadratic=torch.ones(7, 5))}, r"slack.quadratic.*must broadcast"),
         (wall, {"slack": Slack(quadratic=torch.inf)}, r"slack.quadratic.*must be finite"),
     ],
@@ -428,6 +452,10 @@ def beside_a_wall(**given):
         (
             lambda: brought([Inequality(wall, slack=5.0)]),
             r"\[0\].slack` must be a Slack, but got fl",
+        ),
+        (
+            lambda: brought([Inequality(wall, Slack(None))]),
+            r"\[0\].slack.linear` must be a number or a tensor, but got None",
         ),
         (lambda: brought(Inequality(wall)), "`constraints` must be a sequence, but got Inequality"),
         (lambda: listed([wall]), "`constraints` must be Constraints, but got list"),
@@ -542,8 +570,18 @@ def test_a_cost_without_minimum_is_a_status_unless_a_constraint_stops_it(warm):
         ({"function": 5}, TypeError, r"`constraints\[0\].function` must be a function"),
         ({"times": 3}, TypeError, r"times` must be a slice, but got int.*slice\(t, t"),
         ({"times": slice(16, 20)}, ValueError, r"one of the times 0 \.\. 15, but got"),
+        (
+            {"times": slice(1.0, 3.0)},
+            TypeError,
+            r"constraints\[0\].times` must be a slice of whole",
+        ),
+        (
+            {"times": slice(0, 9, 0)},
+            ValueError,
+            r"constraints\[0\].times` must be a slice of whole",
+        ),
     ],
-    ids=["no function", "a number as times", "times beyond the horizon"],
+    ids=["no function", "a number as times", "times beyond the horizon", "fractions", "no step"],
 )
 def test_a_constraint_that_would_hold_nowhere_is_refused(settings, error, told):
     with pytest.raises(error, match=told):
@@ -555,6 +593,22 @@ def test_a_constraint_that_would_hold_nowhere_is_refused(settings, error, told):
 def test_multipliers_of_other_constraints_are_refused(multipliers):
     with pytest.raises(ValueError, match=r"`multipliers` must be a list of 1, one per constraint"):
         brought([Inequality(wall)], multipliers=multipliers)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("widths", [(2, 1), (1, 1)], ids=["another order", "too narrow"])
+def test_each_of_the_multipliers_has_the_shape_of_its_constraint(widths):
+    limits = [Inequality(wall), Inequality(lambda x, u: x - 50)]
+    given = [torch.zeros(3, 16, width) for width in widths]
+    with pytest.raises(ValueError, match=r"`multipliers\[.\]` must have shape \(3, 16, "):
+        brought(limits, multipliers=given)
+
+
+def test_times_in_falling_order_are_the_same_times():
+    rising, falling = (
+        brought([Inequality(wall, times=slice(*each))]) for each in ((5, None), (None, 4, -1))
+    )
+    assert torch.equal(rising.controls, falling.controls)
 
 
 @pytest.mark.usefixtures("nothing_compiled")
