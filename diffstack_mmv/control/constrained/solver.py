@@ -199,7 +199,7 @@ class ConstrainedILQR:
         multipliers: tuple[Tensor, ...],
     ) -> ConstrainedSolution:
         plain = self.solver(dynamics, cost, bounds, state, controls)
-        return ConstrainedSolution(*plain, torch.zeros_like(plain.cost).detach(), multipliers)
+        return ConstrainedSolution(*plain, torch.zeros_like(plain.cost), multipliers)
 
     def _approached(self, problem: Problem, u: Tensor, multipliers: Tensor) -> Approach:
         rounds = AugmentedLagrangian(self.solver, self._told(problem))

@@ -43,6 +43,11 @@ def test_a_constraint_counts_as_much_as_it_is_curved_with_the_cost(scale, slope)
     assert weights(valley(scale), wall(slope)) == pytest.approx([8 * scale / slope**2])
 
 
+def test_the_slope_by_the_control_counts_as_that_by_the_state():
+    found = weights(valley(1.0), lambda x, u: 0.3 * x - 0.4 * u, lambda x, u: -0.1 * u)
+    assert found == pytest.approx([8 / 0.25, 8 / 0.01])
+
+
 def test_the_steepest_time_of_a_constraint_is_what_counts():
     """The point is at 1, 1.5, ... 3, where the square of the place has the slope 6."""
     assert weights(valley(1.0), lambda x, u: x.square() - 4) == pytest.approx([8 / 36])

@@ -93,12 +93,13 @@ def test_the_controls_at_the_end_are_numbers_within_the_box(force: float, held: 
 
 
 @pytest.mark.parametrize(("goal", "left"), [(20.0, 0.0), (3.0, 12.0), (-20.0, 18.0)])
+@pytest.mark.parametrize("side", [1.0, -1.0])
 def test_the_residual_is_what_a_step_down_the_slope_moves_in_the_box(
-    goal: float, left: float
+    goal: float, left: float, side: float
 ) -> None:
     problem, controls = carts([0.0])
-    wanted = Batched(lambda x, u: (u[..., 0] - goal).square() + 0 * x[..., 0])
-    found = told(problem._replace(cost=wanted), torch.full_like(controls, 9.0))
+    wanted = Batched(lambda x, u: (u[..., 0] - side * goal).square() + 0 * x[..., 0])
+    found = told(problem._replace(cost=wanted), torch.full_like(controls, side * 9.0))
     assert float(found.residual) == pytest.approx(left)
 
 

@@ -99,3 +99,35 @@ def test_a_limit_at_infinity_for_some_of_the_time_is_none(times: slice) -> None:
     limit = Inequality(lambda states, forces: states[..., :1] - places, times=times)
     found = EXACT(cart, reach, [limit], box, torch.tensor([0.3, 0.0]), torch.zeros(10, 1))
     torch.testing.assert_close(found.cost, stopped(Slack(torch.inf), box.upper).cost)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(("nearer", "acts"), [(1e-9, False), (1e-3, True)])
+def test_a_wall_acts_where_it_costs_anything(
+    nearer: float, acts: bool, side: float, unit: float
+) -> None:
+    """By how much it stands before the end of the way without it, whatever the unit of the cost."""
+
+    def ended(wall: Tensor) -> Tensor:
+        def cost(states: Tensor, forces: Tensor) -> Tensor:
+            return unit * reach(side * states, forces)
+
+        limit = Inequality(lambda states, forces: side * states[..., :1] - wall)
+        box = Bounds(torch.tensor([-9.0]), torch.tensor([9.0]))
+        found = EXACT(cart, cost, [limit], box, torch.zeros(2), torch.zeros(10, 1))
+        assert found.converged
+        return side * found.states[-1, 0]
+
+    wall = (ended(torch.tensor(9.0)) - nearer).requires_grad_()
+    (slope,) = torch.autograd.grad(ended(wall), wall)
+    assert float(slope) == pytest.approx(float(acts), abs=1e-6)
+
+
+def test_a_price_of_next_to_nothing_has_the_derivative_of_what_it_presses_with() -> None:
+    price = torch.tensor(1e-9, requires_grad=True)
+    found = stopped(Slack(quadratic=price), torch.tensor([6.0]))
+    beyond = (found.states[5:, 0] - 2).clamp_min(0).sum()
+    assert beyond > 0.1
+    (slope,) = torch.autograd.grad(found.multipliers[0].sum(), price)
+    torch.testing.assert_close(slope, beyond.detach())

@@ -122,6 +122,15 @@ def test_the_better_point_of_each_open_problem_is_kept():
     assert not kept.is_open[2]
 
 
+def test_iterations_count_for_open_problems_alone():
+    problem, controls = carts([0.0, 1.0])
+    progress = begin(problem, controls)
+    point = PrimalDual(controls, progress.multipliers)
+    once = progress.counted(torch.tensor([3, 4]))
+    done = once.finished(torch.tensor([False, True]), point, SolverStatus.CONVERGED)
+    assert done.counted(torch.tensor([10, 20])).iterations.tolist() == [13, 4]
+
+
 def standing_still(drive):
     return torch.zeros_like(braking(drive))
 
