@@ -82,6 +82,19 @@ def test_what_the_rounds_leave_is_told():
     assert float(quick.violation[~left].max()) <= 1e-6
 
 
+def test_what_one_round_leaves_goes_through_the_phases_and_back_to_its_place(monkeypatch):
+    monkeypatch.setattr(augmented, "ROUNDS", 1)
+    place = torch.tensor([1.5, 9.0, 2.0])  # the second wall is out of reach
+    with torch.no_grad():
+        quick = brought(COMPILED, place, persistent=False)
+        found, expected = (brought(solver, place) for solver in (COMPILED, ILQR()))
+    assert quick.converged.tolist() == [False, True, False]
+    assert found.converged.all()
+    assert float(found.violation.max()) < 1e-9
+    torch.testing.assert_close(found.controls, expected.controls, rtol=0, atol=1e-6)
+    torch.testing.assert_close(found.multipliers, expected.multipliers, rtol=0, atol=1e-6)
+
+
 @pytest.mark.slow
 def test_what_the_rounds_leave_is_solved_by_persistence():
     quick, whole = barred(persistent=False), barred()
