@@ -11,7 +11,7 @@ from diffstack_mmv.control import Batched, Bounds
 from diffstack_mmv.control.constrained import HARD, Inequality, Slack
 from diffstack_mmv.control.constrained.barrier import Barrier
 from diffstack_mmv.control.constrained.constraint import gather
-from diffstack_mmv.control.constrained.interior import FIRST, STEEPEST, Central, enter
+from diffstack_mmv.control.constrained.interior import FIRST, STEEPEST, Central, enter, follow
 from diffstack_mmv.control.constrained.local import Problem
 from tests.control.constrained.test_progress import cart, carts, reach
 
@@ -142,3 +142,22 @@ def test_it_begins_on_the_central_path_of_its_first_barrier(slack) -> None:
     assert (products <= FIRST + 1e-12).all()  # less where the price bounds the multiplier
     assert slack is not HARD or (products >= FIRST - 1e-12).all()
     assert (central.point.y == 0).all()
+
+
+def test_problems_that_go_on_alone_return_to_their_place():
+    problem, controls = carts([0.0, 1.9, 1.9, 1.9, -3.0, 1.9, 1.9, 1.9, 0.5])
+    everywhere = torch.ones(9, dtype=torch.bool)
+    together = follow(problem, controls, 100, everywhere)
+    assert together.solved.all()
+    for each in range(9):
+        index = torch.tensor([each])
+        alone = follow(problem.select(index), controls[index], 100, everywhere[:1])
+        whole = (part[index] for part in together)
+        for found, expected in zip(whole, alone, strict=True):
+            torch.testing.assert_close(found, expected)
+    assert (together.iterations == together.iterations[1]).sum() > 5
+    assert (together.iterations > together.iterations[1]).any()
+    most = int(together.iterations.max()) - 1  # one too few for some
+    limited = follow(problem, controls, most, everywhere)
+    assert limited.iterations.max() == most
+    assert 5 < limited.solved.sum() < 9
