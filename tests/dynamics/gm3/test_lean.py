@@ -5,7 +5,13 @@ import math
 import pytest
 import torch
 
-from diffstack_mmv.dynamics.gm3 import CoordinatedLean, DiffGM3, PrescribedLean
+from diffstack_mmv.dynamics.gm3 import (
+    LIM2,
+    CoordinatedLean,
+    DiffGM3,
+    PrescribedLean,
+    RungeKutta4,
+)
 from diffstack_mmv.dynamics.gm3.lean import (
     Lean,
     LeanLaw,
@@ -100,3 +106,38 @@ def test_a_lean_is_nearly_the_same_by_ever_finer_steps(law: LeanLaw) -> None:
         states = rollout(model, model.initial_state(start), controls)
         leans.append(float(states[0, -1, model.State._fields.index("lean")]))
     assert leans[0] == pytest.approx(leans[1], rel=0.1)
+
+
+TURNING = torch.tensor([0, 0, 4.0, 0.1, 0.3, 0.4, 0.1, -0.2]).double()
+
+
+def test_a_prescribed_lean_is_that_of_a_pendulum_of_this_height() -> None:
+    spec = load_vehicle("motorcycle")
+    model = DiffGM3(spec).double().requires_grad_(False)
+    rate = model.derivative(TURNING, torch.tensor([0.8, 0.2]).double())
+    known, lean = model.physical_parameters(), TURNING[6]
+    turn = TURNING[2] * TURNING[5] * lean.cos() - GRAVITY * lean.sin()
+    moment = spec.mass_kg * spec.height_m * turn - known["roll_damping"] * TURNING[7]
+    assert spec.height_m < 0.9
+    torch.testing.assert_close(known["roll_inertia"] * rate[7], moment)
+
+
+def test_a_coordinated_lean_answers_what_its_turn_will_be() -> None:
+    law = CoordinatedLean()
+    model = DiffGM3(load_vehicle("bicycle"), lean=law).double().requires_grad_(False)
+    rate = model.derivative(TURNING, torch.tensor([0.8, 0.2]).double())
+    change = rate[2] * TURNING[5] + TURNING[2] * rate[5]
+    lead = (law.anticipation_s + 2 / law.bandwidth_radps) * change
+    lean, omega = TURNING[6], law.bandwidth_radps
+    push = lean.cos() * (TURNING[2] * TURNING[5] + lead) / GRAVITY
+    torch.testing.assert_close(rate[7], omega**2 * (push - lean.sin()) - 2 * omega * TURNING[7])
+    assert float(lead.abs()) > 1.0
+
+
+def test_a_coordinated_lean_by_small_steps_is_that_of_the_classical_method() -> None:
+    straight, control = torch.zeros(8).double(), torch.tensor([0.3, 0.1]).double()
+    straight[2], ends = 4.0, []
+    for stepper, substeps in ((LIM2(), 6), (RungeKutta4(), 12)):
+        model = DiffGM3(load_vehicle("bicycle"), 0.02, None, substeps, stepper, CoordinatedLean())
+        ends.append(model.double().requires_grad_(False)(straight, control))
+    torch.testing.assert_close(*ends, rtol=0.02, atol=1e-6)
