@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require_at_least, require_positive
+from diffstack_mmv.checks import require, require_at_least, require_positive
 from dmmv_conventions.extras import needs
 
 LOGGER = logging.getLogger(__name__)
@@ -109,7 +109,7 @@ class OptunaTuner:
         seed: Of the draws.
 
     Raises:
-        ValueError: There is no round, or the factor is not above one.
+        ValueError: There is no round, or the factor is infinite or not above one.
     """
 
     rounds: int = 30
@@ -119,7 +119,8 @@ class OptunaTuner:
     def __post_init__(self) -> None:
         """Check the numbers once, at the border."""
         require_at_least("rounds", self.rounds, 1)
-        require_positive("factor - 1", self.factor - 1)
+        searched = 1 < self.factor < math.inf
+        require(searched, "factor", "be finite and above 1", self.factor)
 
     def __call__(self, cost: LearnableWeights, loss: Loss) -> Iterator[Round]:
         """Try weights of a cost round by round.

@@ -1,5 +1,7 @@
 """Cost weights tuned by what driving with them comes to."""
 
+import math
+
 import pytest
 import torch
 
@@ -39,6 +41,43 @@ def test_a_round_without_a_finite_gradient_keeps_the_weights(cost, caplog):
     rounds = list(GradientTuner(rounds=2)(cost, lambda: cost.log_weight.sum() * torch.nan))
     assert rounds[0].weights == rounds[1].weights
     assert "not finite" in caplog.text
+
+
+def apart(rounds):
+    """By how much the logarithms of both weights differ in each round."""
+    both = [(each.weights["position"], each.weights["effort"]) for each in rounds]
+    return [math.log(position / effort) for position, effort in both]
+
+
+def test_the_steps_of_the_gradient_fall_to_zero_over_the_rounds(cost):
+    tuner = GradientTuner(rounds=4, learning_rate=0.2)
+    found = apart(tuner(cost, lambda: 5 * (cost.log_weight[0] - cost.log_weight[1])))
+    assert found == pytest.approx([0.0, -0.4, -0.7, -0.9], abs=1e-5)
+
+
+def test_one_round_with_a_steep_loss_does_not_decide_the_next(cost):
+    slopes = iter([1e6, -2.0, -2.0])
+    tuner = GradientTuner(rounds=3)
+    found = apart(tuner(cost, lambda: next(slopes) * (cost.log_weight[0] - cost.log_weight[1])))
+    assert found[1] < found[2] < found[0]
+
+
+def test_optuna_searches_within_its_factor(cost):
+    pytest.importorskip("optuna")
+    beyond = OptunaTuner(rounds=12, factor=2.0)(cost, lambda: -cost.log_weight[0])
+    tried = [float(cost.log_weight[0].detach().exp()) for _ in beyond]
+    assert tried[0] == 1.0
+    assert 1.5 < max(tried) <= 2.0
+    assert 0.5 <= min(tried) < 1.0
+
+
+@pytest.mark.parametrize("tuner", [GradientTuner(rounds=1), OptunaTuner(rounds=1)], ids=repr)
+def test_one_round_tells_the_loss_of_the_weights_given(cost, tuner):
+    if isinstance(tuner, OptunaTuner):
+        pytest.importorskip("optuna")
+    [only] = tuner(cost, wanted(cost))
+    assert only.loss == 1.0
+    assert only.weights == pytest.approx({"position": 1.0, "effort": 1.0})
 
 
 def test_optuna_begins_with_the_weights_given(cost):
@@ -91,7 +130,8 @@ def test_the_loss_has_a_gradient_in_the_weights(circle, controller_for):
     ("build", "name"),
     [
         (lambda: GradientTuner(rounds=0), "rounds"),
-        (lambda: OptunaTuner(factor=1.0), "factor"),
+        (lambda: OptunaTuner(factor=0.5), "`factor` must be finite and above 1, but got 0.5"),
+        *((lambda f=f: OptunaTuner(factor=f), "`factor`") for f in (1.0, math.inf, math.nan)),
         (lambda: DrivingLoss(steps=0), "steps"),
         (lambda: DrivingLoss(clearance_m=0.0), "clearance_m"),
         (lambda: DrivingLoss(near_m=0.0), "near_m"),
