@@ -71,6 +71,11 @@ def with_recordings(samples: pd.DataFrame, within: Sequence[str] = ()) -> pd.Dat
     return samples.assign(**{RECORDING: told.fillna(samples["scene"])})
 
 
+def is_forecast(name: str, metrics: Mapping[str, Any], mode: str) -> bool:
+    """Whether a trivial path is a prediction, and not led to the goal that the human had."""
+    return metrics["goal"] not in GIVEN or f"nll_{name}" in metrics["modes"][mode]
+
+
 def _own_rows(folder: Path) -> list[dict[str, Any]]:
     metrics = read_json(folder / "metrics.json")
     common = {key: metrics[key] for key in ("data", "split", "goal", "seed")} | {"run": str(folder)}
@@ -91,7 +96,7 @@ def _baseline_rows(folder: Path) -> list[dict[str, Any]]:
     for name, modes in metrics["baselines"].items():
         for mode, scores in modes.items():
             own = metrics["modes"][mode]
-            predicts = metrics["goal"] not in GIVEN or f"nll_{name}" in own
+            predicts = is_forecast(name, metrics, mode)
             row = {"mode": mode, "dynamics": name, "n": own["n"], "vehicle": own["vehicle"]}
             row |= dict.fromkeys(("ade", "median_ade"), scores["ade"] if predicts else None)
             row |= {"plan_ade": scores["ade"] if "plan_ade" in own else None}

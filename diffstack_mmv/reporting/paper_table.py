@@ -8,7 +8,12 @@ import numpy as np
 import pandas as pd
 
 from diffstack_mmv.reporting.bootstrapping import bootstrap
-from diffstack_mmv.reporting.compared_runs import RECORDING, SAMPLE, with_recordings
+from diffstack_mmv.reporting.compared_runs import (
+    RECORDING,
+    SAMPLE,
+    is_forecast,
+    with_recordings,
+)
 from diffstack_mmv.reporting.files import read_parquet
 from diffstack_mmv.reporting.runs import Run
 from diffstack_mmv.reporting.scores import ScoreHeading, Scores
@@ -23,8 +28,6 @@ SHOWN = (
     "human_collision_rate",
     "solved",
 )
-TRIVIAL = ("ade", "plan_ade")
-"""Scores that a trivial path is compared by: it is prediction and plan at once."""
 LOGARITHMIC = "nats"
 """Unit of scores with no zero of their own, whose differences mean something and shares do not."""
 
@@ -36,8 +39,8 @@ def paper_table(
 
     A cell is `mean [low, high] (± deviation over seeds, difference)`, with the interval of
     `bootstrap`; differences are in %, in nats where that is the unit, and absent while the first
-    model has not ended. Trivial paths follow the models. A run that has not ended is told, never
-    averaged.
+    model has not ended. Trivial paths follow the models; one that is led to a given goal is a plan
+    alone. A run that has not ended is told, never averaged.
 
     Args:
         runs: All runs that the table is about.
@@ -51,7 +54,7 @@ def paper_table(
     for data, goal, mode in keys:
         first: dict[str, float] = {}
         place = {"data": data, "goal": goal, "mode": mode}
-        baselines: dict[str, dict[str, float | None]] = {}
+        trivial: dict[str, dict[str, str]] = {}
         for model, title in models.items():
             own = [run for run in runs if (run.place, run.model) == ((data, mode, goal), model)]
             ended = [run for run in own if run.ended]
@@ -68,11 +71,10 @@ def paper_table(
                 row[scores[name].heading] = _cell(means, interval, first.get(name), scores[name])
                 if model == reference:
                     first[name] = _mean(means)
-            baselines |= {name: per_mode[mode] for name, per_mode in told[0]["baselines"].items()}
+            trivial |= _trivial(told[0], mode, scores)
             rows.append(row)
-        for name, known in baselines.items():
-            error = {scores[score].heading: cell(known["ade"]) for score in TRIVIAL}
-            rows.append(place | {"model": name.replace("_", " "), "seeds": NONE, "n": NONE} | error)
+        for name, cells in trivial.items():
+            rows.append(place | {"model": name.replace("_", " "), "seeds": NONE, "n": NONE} | cells)
     return pd.DataFrame(rows).fillna(NONE)
 
 
@@ -82,6 +84,16 @@ def write_paper_table(folder: Path, table: pd.DataFrame, remarks: Sequence[str])
     below = "\n".join(f"- {remark}" for remark in remarks)
     whole = f"{text}\n\n{below}\n" if below else f"{text}\n"
     write_table(folder, "results", table, whole)
+
+
+def _trivial(told: Mapping[str, Any], mode: str, scores: Scores) -> dict[str, dict[str, str]]:
+    """Cells of each trivial path: a plan, and a prediction unless it is led to the goal."""
+    cells = {}
+    for name, per_mode in told["baselines"].items():
+        known = ("ade", "plan_ade") if is_forecast(name, told, mode) else ("plan_ade",)
+        error = cell(per_mode[mode]["ade"])
+        cells[name] = {scores[score].heading: error for score in known}
+    return cells
 
 
 def _over_seeds(runs: Sequence[Run], mode: str) -> pd.DataFrame:

@@ -34,6 +34,17 @@ def test_every_model_has_a_row_and_trivial_paths_follow(runs):
     assert set(table.iloc[2].drop(["data", "goal", "mode", "model", "seeds"])) == {"–"}
 
 
+@pytest.mark.parametrize(("goal", "forecast"), [("predicted", True), ("future", False)])
+def test_a_path_that_is_led_to_the_goal_is_no_prediction(tmp_path, goal, forecast) -> None:
+    led = {"straight_line/ade": 0.2, "straight_line/fde": 0.1, "stand_still/nll": 3.0}
+    folder = write_run(tmp_path, "unicycle", 0, frame=samples().assign(**led), goal=goal)
+    run = Run("thab_vru", "bicycle", "unicycle", goal, 0, folder)
+    table = paper_table([run], MODELS, OPEN_LOOP, resamples=20).set_index("model")
+    assert list(table.loc["stand still", ["ADE [m]", "plan ADE [m]"]]) == ["2.000", "2.000"]
+    told = ["0.200" if forecast else "–", "0.200"]
+    assert list(table.loc["straight line", ["ADE [m]", "plan ADE [m]"]]) == told
+
+
 def test_differences_are_told_against_the_first_model(runs):
     table = paper_table(runs, MODELS, OPEN_LOOP, resamples=20)
     first, second = table["ADE [m]"][:2]
