@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,13 +32,23 @@ def check(config: DictConfig) -> None:
 
     What is left can be told without them.
     """
+    table = config.table
     for name in ("rows", "places"):
-        known = list(config.table[name])
-        unknown = sorted(set(config[name] or ()) - set(known))
-        require(not unknown, name, f"be some of {known}", unknown)
+        _require_some_of(name, config[name], table[name])
+    for name, keys in (("drives", table.places), ("against", table.rows)):
+        told = table.get(name) or {}
+        _require_some_of(f"table.{name}", told, keys)
+        for key, rows in told.items():
+            _require_some_of(f"table.{name}.{key}", rows, table.rows)
     instantiate(config.launcher)
     if not config.dry_run:
         _require_read(config)
+
+
+def _require_some_of(argument: str, names: Iterable[Any] | None, known: Iterable[Any]) -> None:
+    """Refuse names that the table does not have; without them it would lack lines in silence."""
+    unknown = sorted(set(names or ()) - set(known))
+    require(not unknown, argument, f"be some of {list(known)}", unknown)
 
 
 def _require_read(config: DictConfig) -> None:

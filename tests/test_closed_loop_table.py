@@ -66,8 +66,11 @@ def test_every_place_and_every_row_is_a_setting_of_navigate(name):
     [
         (["table=paper", "rows=[ours]"], 0, "5 of 5 drives to do"),
         (["rows=[unicorn]"], 1, "`rows` must be some of"),
+        (["table=paper", "table.against.ours=[theirs]"], 1, "`table.against.ours` must be some of"),
+        (["table=paper", "+table.against.mine=[ours]"], 1, "`table.against` must be some of"),
+        (["table=paper", "+table.drives.hill=[ours]"], 1, "`table.drives` must be some of"),
     ],
-    ids=["rows of the table", "rows it does not have"],
+    ids=["rows of the table", "rows it does not have", "against none", "of none", "nowhere"],
 )
 def test_a_dry_run_tells_what_is_left_or_wrong(table, arguments, ended, line):
     status, told = table(*arguments, "dry_run=true")
