@@ -76,6 +76,21 @@ def test_a_faulty_file_is_refused_with_its_name(text, reason):
     assert caught.value.reason is reason
 
 
+@pytest.mark.parametrize("row", [0, 2])
+def test_the_row_of_a_value_that_is_none_is_told(row) -> None:
+    lines = [f"{each},{each},1,{'nan' if each == row else 2}" for each in range(3)]
+    text = "\n".join([",timestamp,x,y", *lines]).encode()
+    with pytest.raises(TrackError, match=f"nan.*cyclists/moving/1.csv, row {row}"):
+        parse(ThabFile("cyclists", "moving", "1", text))
+
+
+@pytest.mark.parametrize(("folder", "found"), [("", "none of them"), ("no", "no such folder")])
+def test_a_folder_of_something_else_is_told_from_none(tmp_path, folder, found) -> None:
+    told = rf"`root` must hold cyclists/ or cyclists.tar.gz, .*, but got '{found}' in "
+    with pytest.raises(ConversionError, match=told):
+        ThabVruDataset(tmp_path / folder).scenes()
+
+
 @pytest.mark.parametrize("stamps", [[0.0], [5.0], [1.0, 2.0], [2.0, 1.0, 3.0]])
 def test_a_file_of_any_length_is_read_as_it_is(stamps) -> None:
     lines = [f"{row},{stamp},{row},-{row}" for row, stamp in enumerate(stamps)]
