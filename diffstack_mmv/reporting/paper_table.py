@@ -66,7 +66,7 @@ def paper_table(
             samples = _over_seeds(ended, mode)
             row["n"] = str(len(samples))
             for name in SHOWN:
-                means = [part["modes"][mode][name] for part in told if mode in part["modes"]]
+                means = [part["modes"][mode][name] for part in told]
                 interval = bootstrap(samples[name], samples[RECORDING], resamples)
                 row[scores[name].heading] = _cell(means, interval, first.get(name), scores[name])
                 if model == reference:

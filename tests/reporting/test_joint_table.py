@@ -7,7 +7,7 @@ import pytest
 
 from diffstack_mmv.metrics import CLOSED_LOOP
 from diffstack_mmv.reporting import DrivenRow, joint_table, write_joint_table
-from diffstack_mmv.reporting.joint_table import joint_pairs
+from diffstack_mmv.reporting.joint_table import FAILURES, joint_pairs
 
 
 def told(outcomes):
@@ -74,7 +74,9 @@ def test_the_files_hold_table_pairs_and_failures(rows, tmp_path):
     assert "0 / 1" in text.split("Paired")[1]
     assert (tmp_path / "out" / "table.tex").is_file()
     assert len((tmp_path / "out" / "table.csv").read_text().splitlines()) == 4
-    assert len((tmp_path / "out" / "failures.csv").read_text().splitlines()) == 4
+    failures = (tmp_path / "out" / "failures.csv").read_text().splitlines()
+    assert failures[:2] == [",".join(FAILURES), "circle,first,1,collision,4.000,–"]
+    assert len(failures) == 4
 
 
 @pytest.mark.parametrize(("name", "mark"), [("table.md", "|"), ("table.tex", "&")])

@@ -108,9 +108,16 @@ def test_a_rate_of_zero_everywhere_has_no_interval(tmp_path):
 def test_files_and_remarks(runs, tmp_path):
     table = paper_table(runs, MODELS, OPEN_LOOP, resamples=20)
     write_paper_table(tmp_path, table, ["imptc: no recordings in data/imptc."])
-    assert "- imptc: no recordings" in (tmp_path / "results.md").read_text()
+    text = (tmp_path / "results.md").read_text()
+    assert "- imptc: no recordings" in text
+    assert all(model in text for model in MODELS.values())
     assert len(pd.read_csv(tmp_path / "results.csv")) == len(table)
     assert r"\begin{tabular}" in (tmp_path / "results.tex").read_text()
+
+
+def test_a_table_of_nothing_says_so(tmp_path):
+    write_paper_table(tmp_path, paper_table([], MODELS, OPEN_LOOP), [])
+    assert (tmp_path / "results.md").read_text() == "No run has ended.\n"
 
 
 def test_seeds_are_averaged_by_sample_and_not_by_row(runs):
@@ -121,7 +128,10 @@ def test_seeds_are_averaged_by_sample_and_not_by_row(runs):
     assert again["ADE [m]"][0] == table["ADE [m]"][0]
 
 
-def test_seeds_that_were_judged_on_different_windows_are_refused(runs):
-    write_run(runs[1].report, "unicycle", 1, frame=samples(1).assign(row=np.arange(60) + 1))
-    with pytest.raises(ValueError, match="were judged on different windows of bicycle"):
+@pytest.mark.parametrize(("kept", "shift", "count"), [(60, 1, 40), (57, 0, 38)])
+def test_seeds_that_were_judged_on_different_windows_are_refused(runs, kept, shift, count):
+    frame = samples(1).assign(row=np.arange(60) + shift)[:kept]
+    write_run(runs[1].report, "unicycle", 1, frame=frame)
+    told = rf"were judged on different windows of bicycle \({count} and 40\)"
+    with pytest.raises(ValueError, match=told):
         paper_table(runs, MODELS, OPEN_LOOP, resamples=20)
