@@ -1,11 +1,13 @@
 """Show several controllers in the same cases, side by side."""
 
-import logging
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from __future__ import annotations
 
-from diffstack_mmv.commands.cli import DictConfig, command, instantiate
+import logging
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from diffstack_mmv.commands.cli import DictConfig, command, get_class, instantiate
 from diffstack_mmv.commands.config_checks import require_file
 from diffstack_mmv.commands.drive_checks import require_movie
 from dmmv_conventions.checks import message, require
@@ -13,6 +15,9 @@ from dmmv_conventions.configs import config_folder
 from dmmv_conventions.differences import first_difference
 from dmmv_conventions.targets import OF_A_RUN, require_buildable
 from dmmv_conventions.yaml_files import read_plain
+
+if TYPE_CHECKING:
+    from diffstack_mmv.simulation import Robot
 
 logger = logging.getLogger(__name__)
 
@@ -77,6 +82,15 @@ def _settings(run: str | Path) -> dict[str, Any]:
     return settings
 
 
+def robot_of(run: Path, settings: Mapping[str, Any]) -> Robot:
+    """The robot of these episodes: beside a vehicle, massless baselines drive one of their own."""
+    from diffstack_mmv.simulation import HolonomicRobot, is_massless
+
+    driver = (settings.get("baselines") or {}).get(run.name) or settings["controller"]
+    massless = is_massless(get_class(driver["_target_"]))
+    return HolonomicRobot() if massless else instantiate(settings["robot"])
+
+
 @command(config_folder(), "side_by_side", check)
 def main(config: DictConfig) -> None:
     """Write a picture and a moving picture of every case."""
@@ -95,7 +109,7 @@ def main(config: DictConfig) -> None:
 
     def episode(run: Path, case: int) -> Episode:
         settings = _settings(run)
-        scenario, robot = instantiate(settings["scenario"]), instantiate(settings["robot"])
+        scenario, robot = instantiate(settings["scenario"]), robot_of(run, settings)
         record, row = read_episode(run, case)
         outline = robot.footprint.outline()
         start = CaseStart(*scenario.case(settings["phase"], case).radii_and_goal())

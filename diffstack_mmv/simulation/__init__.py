@@ -54,7 +54,7 @@ from diffstack_mmv.simulation.robot import HolonomicRobot, Robot, UnicycleRobot
 from diffstack_mmv.simulation.scenario import Scenario
 from diffstack_mmv.simulation.scene import Scene
 from diffstack_mmv.simulation.sensing import LimitedSensing
-from diffstack_mmv.simulation.study import models_told, study_world, world_for
+from diffstack_mmv.simulation.study import is_massless, models_told, study_world, world_for
 from diffstack_mmv.simulation.summary import summarise
 from diffstack_mmv.simulation.tracking import PedestrianTracker, TrackingController
 from diffstack_mmv.simulation.vector_env import CrowdNavVectorEnv
@@ -143,6 +143,7 @@ __all__ = [
     "controller_model",
     "drive",
     "imitation_loss",
+    "is_massless",
     "models_by_friction",
     "models_told",
     "read_chunk",
