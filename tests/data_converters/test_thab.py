@@ -123,6 +123,19 @@ def test_a_file_from_the_end_to_the_beginning_is_put_in_order(thab):
         np.testing.assert_array_equal(getattr(tracks[0], name), getattr(tracks[1], name))
 
 
+def test_a_track_begins_at_zero_and_holds_the_first_of_samples_at_one_time(thab):
+    rows = [(5.0, 1, 2), (5.1, 3, 4), (5.1, 5, 6), (5.3, 7, 8)]
+    lines = [f"{row},{stamp},{x},{y}" for row, (stamp, x, y) in enumerate(rows)]
+    text = "\n".join([",timestamp,x,y", *lines])
+    (thab / "cyclists" / "moving" / "21.csv").write_text(text)
+    dataset = ThabVruDataset(thab)
+    scene = next(each for each in dataset.scenes() if each.name == "cyclists_moving_21")
+    raw = dataset.read(scene, 0.1, strict=True)
+    np.testing.assert_allclose(raw.tracks[0].time_s, [0.0, 0.1, 0.3])
+    np.testing.assert_array_equal(raw.tracks[0].position, [[1, 2, 0], [3, 4, 0], [7, 8, 0]])
+    assert raw.notes == {"repeated_timestamps": 1}
+
+
 @pytest.mark.parametrize(
     "piece", [slice(0, 15), slice(10, 25), slice(20, 40), slice(30, 40), slice(0, 40)]
 )
