@@ -89,6 +89,7 @@ def models_told(
         return {
             "dynamics": "massless",
             "believed_dynamics": "massless",
+            "footprint": "disc",  # whatever the configuration gives the vehicle
             "actual_model": drives,
             "believed_model": drives,
         }

@@ -114,4 +114,5 @@ def test_of_a_massless_controller_its_own_robot_is_told():
     assert told["actual_model"]["class"] == "HolonomicRobot"
     assert told["actual_model"]["step_s"] == 0.25
     assert told["actual_model"]["footprint"] == DiscFootprint(0.3).description()
+    assert told["footprint"] == "disc"  # above that of the header
     assert told["actual_model"]["controls"] == ["velocity_x", "velocity_y"]
