@@ -78,6 +78,8 @@ class TableColumns:
         for name, column in wanted.items():
             found = f"'{column}', while the table has {', '.join(map(str, table.columns))}"
             remedy = f"Set data.columns.{name}=NAME" + ("." if name in REQUIRED else ", or =null.")
+            if name.startswith("controls."):
+                remedy = f"Give +data.columns.{name}=NAME, or leave it out."
             needs = "name a column of the table"
             present = column in table.columns
             require(present, f"columns.{name}", needs, Plain(found), where, remedy)

@@ -149,6 +149,8 @@ class TableDataset(MultiAgentDataset):
             numbers = {name: self.units.numbers(rows[c]) for name, c in columns.controls.items()}
             controls = table[["agent", "time_s"]].rename(columns={"agent": "agent_id"})
             raw.side_tables[CONTROLS_TABLE] = controls.assign(**numbers)
+            for name, values in numbers.items():
+                raw.note(f"rows_without_{name}", int(values.isna().sum()))
         return table
 
     def _checked(self, rows: pd.DataFrame, path: Path) -> pd.DataFrame:

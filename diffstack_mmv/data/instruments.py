@@ -131,7 +131,7 @@ def _recorded(
             continue
         tables, measured = tables + 1, _numbers(cache, path, names)
         found |= _scene_controls(cache, scene["name"], measured, mode, names)
-    where, remedy = f" in '{cache.name}'", f"Write one beside the scenes, or drop `{table}`."
+    where, remedy = f"in '{cache.name}'", f"Write one beside the scenes, or drop `{table}`."
     there = tables > 0 or not needed
     require(there, table, f"be recorded in {table}.parquet", "no such file", where, remedy)
     known = not tables or any(bool(torch.isfinite(values).any()) for values in found.values())
@@ -142,7 +142,7 @@ def _recorded(
 def _numbers(cache: ConvertedCache, path: Path, names: Sequence[str]) -> pd.DataFrame:
     """A table beside a scene: whose, when, and columns of numbers, NaN where there is none."""
     table = side_rows(cache, path)
-    columns, where = tuple(table.columns), f" in {path}"
+    columns, where = tuple(table.columns), f"in {path}"
     for name in ("agent_id", "time_s", *names):
         needs = f"be columns of {', '.join(columns)}"
         require(name in columns, path.stem, needs, name, where)

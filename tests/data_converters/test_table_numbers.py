@@ -51,6 +51,15 @@ def test_controls_have_decimal_commas_too(tmp_path):
     assert (raw.side_tables["controls"]["steer"] == 0.25).all()
 
 
+def test_rows_without_a_control_are_counted(tmp_path):
+    rows = table(steer=0.25, throttle=1.0)
+    rows["steer"] = rows["steer"].astype(object)
+    rows.loc[3, "steer"], rows.loc[4, "steer"] = "n/a?", None
+    columns = TableColumns(controls={"steer": "steer", "acceleration": "throttle"})
+    raw = first_scene(written(tmp_path, rows.to_csv(index=False), columns=columns))
+    assert (raw.notes["rows_without_steer"], raw.notes["rows_without_acceleration"]) == (2, 0)
+
+
 @pytest.mark.parametrize(("mark", "units"), [(",", TableUnits()), (".", COMMA)])
 def test_another_decimal_mark_is_told_with_its_setting(tmp_path, mark, units):
     text = table(y=1).to_csv(index=False, sep=";", decimal=mark) + "?;0;1;8;scooter\n"

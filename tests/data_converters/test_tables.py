@@ -75,7 +75,7 @@ MISTAKES = {
     "a control": (
         {},
         {"columns": TableColumns(controls={"steer": "delta"})},
-        r"`columns\.controls\.steer`.*'delta'",
+        r"`columns\.controls\.steer`.*'delta'.* Give \+data\..*NAME, or leave it out\.$",
     ),
     "milliseconds": ({"time": 1e3 * TIME_S}, {}, "`rate`.*0.01 Hz.*units.time"),
     "centimetres": ({"x": 400.0 * TIME_S}, {}, "`speed`.*400 m/s.*units.length"),

@@ -228,10 +228,10 @@ def _require_widths(recordings: Recordings, model: DynamicsModel) -> None:
 def _require_units(recordings: Recordings, model: DynamicsModel) -> None:
     """Refuse recorded controls that the vehicle cannot have had, as angles in degrees."""
     recorded = list((recordings.controls or {}).values())
-    if not recorded:
-        return
-    controls = torch.cat(recorded)
+    controls = torch.cat(recorded) if recorded else torch.empty(0)
     controls = controls[controls.isfinite().all(-1)]
+    if len(controls) == 0:
+        return
     limits = zip(model.Control._fields, *(bound.tolist() for bound in model.bounds), strict=True)
     for values, (name, low, high) in zip(controls.unbind(-1), limits, strict=True):
         beyond = int(((values < low) | (values > high)).sum())

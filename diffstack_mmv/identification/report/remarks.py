@@ -191,7 +191,8 @@ def misfit(found: Identification) -> list[str]:
         return []
     return [
         f"The residuals are {found.noise_factor:.2f} times the assumed noise: the model does "
-        "not explain the tracks, or the fit ended in a poor optimum. Do not trust it."
+        "not explain the tracks, recorded controls are not theirs (left is positive; one clock), "
+        "or the fit ended in a poor optimum. Do not trust it."
     ]
 
 

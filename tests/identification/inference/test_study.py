@@ -164,6 +164,13 @@ def test_recorded_controls_of_another_unit_are_refused(column, unit, told):
         study()(given._replace(controls=controls), builders("kbm"))
 
 
+def test_tracks_without_a_known_control_hold_no_segment():
+    given = recordings()
+    unknown = {name: torch.full_like(each, math.nan) for name, each in given.controls.items()}
+    with pytest.raises(ValueError, match="recorded controls"):
+        study()(given._replace(controls=unknown), builders("kbm"))
+
+
 def test_recorded_controls_of_other_columns_are_refused():
     given = recordings()
     wide = {name: torch.cat([each, each], -1) for name, each in given.controls.items()}

@@ -60,6 +60,7 @@ def test_residuals_above_the_noise_are_named(result):
     found = result[1]
     (remark,) = misfit(found._replace(noise_factor=1.5))
     assert "1.50 times the assumed noise" in remark
+    assert "recorded controls are not theirs" in remark
     assert misfit(found) == []
 
 
