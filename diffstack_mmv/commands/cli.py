@@ -172,7 +172,7 @@ def _resolve(config: DictConfig, config_name: str) -> None:
     content: Any = OmegaConf.to_container(config)
     require_buildable(content, OF_A_RUN, "in the configuration")
     _judge_vehicles(content)
-    require_arguments(content)
+    require_arguments(content, HydraConfig.get().overrides.task)
     require_types(content)
     require_foretold(content)
     require_name_of_converter(content.get("data"))

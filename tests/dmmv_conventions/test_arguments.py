@@ -92,6 +92,20 @@ def test_an_argument_too_many_is_named_with_its_place(package, name):
         require_arguments({"deep": [{"er": {**part, "wings": 2}}]})
 
 
+@pytest.mark.parametrize(
+    ("words", "remedy"),
+    [
+        (["+deep.wings=2"], "Remove it."),
+        (["+deep={wings: 2}"], "Remove it."),
+        (["deep=other"], "A file of the configuration gives it: choose another `deep`."),
+    ],
+)
+def test_an_argument_that_nobody_gave_is_not_to_be_removed(package, words, remedy):
+    part = {"_target_": f"{package}.Row", "width": 1, "wings": 2}
+    with pytest.raises(ValueError, match=f"{remedy}$"):
+        require_arguments({"deep": {"er": part}}, words)
+
+
 @pytest.mark.parametrize("name", ["Open", "Made", "Layer", "Stranger", "Absent", "Part.of"])
 def test_what_may_take_anything_is_left_to_itself(package, name, unchecked):
     require_arguments({"_target_": f"{package}.{name}", "wings": 2})
