@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require_at_least, require_between, require_positive
+from diffstack_mmv.checks import require, require_at_least, require_positive
 from diffstack_mmv.geometry import wrap_angle
 from diffstack_mmv.simulation.case_noise import NoiseSource, case_noise, milliseconds
 from diffstack_mmv.simulation.observation import Observation
@@ -41,7 +41,7 @@ class LimitedSensing:
         if self.range_m is not None:
             require_positive("range_m", self.range_m)
         require_positive("view_deg", self.view_deg)
-        require_between("view_deg", self.view_deg, 0, 360)
+        require(self.view_deg <= 360, "view_deg", "be at most a whole turn, 360", self.view_deg)
         require_at_least("position_noise_m", self.position_noise_m, 0)
         require_at_least("velocity_noise_mps", self.velocity_noise_mps, 0)
 

@@ -102,7 +102,10 @@ def test_every_setting_of_a_sensor_can_be_given_on_the_command_line(path):
     assert told == {each.name for each in fields(LimitedSensing)}
 
 
-@pytest.mark.parametrize("view_deg", [0.0, -90.0, 400.0])
-def test_a_field_of_view_is_an_angle_up_to_a_whole_turn(view_deg):
-    with pytest.raises(ValueError, match="view_deg"):
+@pytest.mark.parametrize(
+    ("view_deg", "needs"),
+    [(0.0, "be positive"), (-90.0, "be positive"), (400.0, "be at most a whole turn, 360, but")],
+)
+def test_a_field_of_view_is_an_angle_up_to_a_whole_turn(view_deg, needs):
+    with pytest.raises(ValueError, match=f"`view_deg` must {needs}"):
         LimitedSensing(view_deg=view_deg)
