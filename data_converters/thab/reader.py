@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import tarfile
 from collections import Counter
 from collections.abc import Iterator
@@ -17,9 +18,14 @@ from data_converters.csv_table import read_numbers
 from data_converters.errors import RejectReason, TrackError, fault, refuse_track, require
 from data_converters.limits import USUAL, RecordingLimits
 from data_converters.plain_files import LARGEST_BYTES, require_plain
+from data_converters.tables.outputs import recorded
 from data_converters.thab.modes import FOLDER_MODES, PHASES
 
+logger = logging.getLogger(__name__)
+
 COLUMNS = ("timestamp", "x", "y")
+ENDINGS = (".csv", ".csv.gz")
+"""Of what looks like a track, read or not."""
 
 
 class ThabFile(NamedTuple):
@@ -43,6 +49,8 @@ class ThabFile(NamedTuple):
 def read_files(root: Path) -> list[ThabFile]:
     """All csv files below `root`, sorted by path; folders with files are preferred to archives.
 
+    A warning tells of csv files, packed ones as well, that stand elsewhere and are not read.
+
     Raises:
         ConversionError: If neither folders nor archives with the known names are there, one of them
             holds no file, or an archive is broken.
@@ -52,7 +60,18 @@ def read_files(root: Path) -> list[ThabFile]:
     found = "no such folder" if not root.is_dir() else "none of them"
     remedy = "Give the folder of the TH-AB VRU tracks."
     require(bool(files), "root", f"hold {names}", found, root, remedy)
+    read = {root / file.path for file in files}
+    tables = (path for ending in ENDINGS for path in root.rglob(f"*{ending}"))
+    _tell_unread([str(path) for path in recorded(tables, root) if path not in read])
     return sorted(files, key=lambda file: file.path)
+
+
+def _tell_unread(names: list[str]) -> None:
+    """Warn of tables that stand where none are looked for, or are packed one by one."""
+    if names:
+        groups, phases = "|".join(FOLDER_MODES), "|".join(PHASES)
+        told = "Files that are not read: %d, the first: %s. Read are (%s)/(%s)/NAME.csv."
+        logger.warning(told, len(names), names[0], groups, phases)
 
 
 def _read_group(root: Path, group: str) -> list[ThabFile]:
@@ -88,11 +107,13 @@ def _refused(reason: RejectReason, needs: str, found: object, where: object) -> 
 def _read_archive(archive: Path, group: str) -> Iterator[ThabFile]:
     """The csv files of an archive; members that no folder could hold are told, not left out."""
     known: Counter[tuple[str, str]] = Counter()
+    unread: list[str] = []
     with whole_tar(archive) as tar:
         for member in tar:
             path = PurePosixPath(member.name)
             phase, stem = path.parent.name, path.stem
             if path.suffix != ".csv" or not (phase in PHASES or reaches_outside(member.name)):
+                unread += [f"{archive}, {member.name}"] if path.name.endswith(ENDINGS) else []
                 continue
             content = _member(tar, member, f"{archive}, {member.name}")
             phase = phase if phase in PHASES else "elsewhere"
@@ -102,6 +123,7 @@ def _read_archive(archive: Path, group: str) -> Iterator[ThabFile]:
                 reason, needs = RejectReason.REPEATED_FILE, "stand in the archive once"
                 content = _refused(reason, needs, f"{member.name} again", archive)
             yield ThabFile(group, phase, stem, content, f"#{count}" if count > 1 else "")
+    _tell_unread(unread)
 
 
 def _member(tar: tarfile.TarFile, member: tarfile.TarInfo, where: str) -> bytes | TrackError:

@@ -1,5 +1,7 @@
 """TH-AB tracks: reading, duplicates, split by recording, and the real data."""
 
+import re
+import shutil
 import tarfile
 
 import numpy as np
@@ -40,6 +42,32 @@ def test_an_archive_is_read_although_a_folder_without_files_lies_beside_it(thab,
         tar.add(thab / "cyclists", arcname="cyclists")
     (tmp_path / "cyclists" / inside).mkdir(parents=True)
     assert ThabVruDataset(tmp_path).scenes() == ThabVruDataset(thab).scenes()
+
+
+@pytest.mark.parametrize(
+    ("name", "packed"),
+    [
+        ("cyclists/moving/7.csv.gz", False),
+        ("cyclists/turning/7.csv", False),
+        ("scooters/moving/7.csv", False),
+        ("cyclists/moving/7.csv.gz", True),
+        ("cyclists/turning/7.csv", True),
+    ],
+)
+def test_tables_that_are_not_read_are_told(thab, tmp_path, caplog, name, packed):
+    root = tmp_path / "root"
+    shutil.copytree(thab, root)
+    ThabVruDataset(root).scenes()
+    assert caplog.text == ""
+    (root / name).parent.mkdir(parents=True, exist_ok=True)
+    (root / name).write_bytes(b"")
+    if packed:
+        with tarfile.open(root / "cyclists.tar.gz", "w:gz") as tar:
+            tar.add(root / "cyclists", arcname="cyclists")
+        shutil.rmtree(root / "cyclists")
+    ThabVruDataset(root).scenes()
+    told = f"Files that are not read: 1, the first: .*{name}. Read are .cyclists.pedestrians./"
+    assert re.search(told, caplog.text)
 
 
 def test_a_group_without_files_is_not_left_out_in_silence(thab, tmp_path):
