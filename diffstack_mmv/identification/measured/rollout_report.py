@@ -64,6 +64,7 @@ def rollout_groups(windows: RideWindows) -> dict[str, Tensor]:
     """Masks, each of shape (w,): all windows, sessions, classes of speed and lateral acceleration.
 
     A window belongs to the classes of its mean speed in m/s and its mean acceleration in m/s².
+    A session or class of all windows is none of its own: it would repeat their rows.
     """
     speed = windows.speed.mean(-1)
     lateral = (windows.speed[:, :-1] * windows.yaw_rate).abs().nanmean(-1).clamp(max=GRAVITY)
@@ -77,7 +78,7 @@ def rollout_groups(windows: RideWindows) -> dict[str, Tensor]:
     ):
         for low, high in zip(edges[:-1], edges[1:], strict=True):
             groups[text.format(low, high)] = (values >= low) & (values < high)
-    return groups
+    return {name: each for name, each in groups.items() if name == "all" or not bool(each.all())}
 
 
 def rollout_tests(identified: str, result: MeasuredStudyResult) -> dict[str, dict[str, float]]:

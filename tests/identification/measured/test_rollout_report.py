@@ -30,6 +30,12 @@ def test_sessions_are_grouped_by_the_names_of_their_recordings():
     assert groups["all"].all()
 
 
+def test_a_session_or_class_of_all_windows_does_not_repeat_them():
+    groups = rollout_groups(windows_of([3.0] * 3, [0.5] * 3, recording=(0, 0, 0)))
+    assert "session a" not in groups
+    assert [name for name, chosen in groups.items() if chosen.all()] == ["all"]
+
+
 @pytest.mark.parametrize(("kind", "edges"), [("speed", SPEEDS), ("lateral", LATERAL)])
 def test_a_window_is_in_one_class_of_each_kind(kind, edges):
     groups = rollout_groups(windows_of([0.5, 3.0, 8.0], [-2.0, 0.1, 0.4]))
