@@ -60,12 +60,18 @@ def _admit_split(argument: str, config: DictConfig, windows: WindowDataset) -> i
     Returns:
         How many there are.
     """
-    from diffstack_mmv.data import require_unseen, seen_recordings
+    from diffstack_mmv.data import other_releases, require_unseen, seen_recordings
     from diffstack_mmv.stack import learned_from
 
     split = OmegaConf.select(config, argument)
-    found = (seen_recordings(windows.samples, learned_from(path)) for path in _checkpoints(config))
-    seen = sorted({name for names in found for name in names})
+    lineages = [learned_from(path) for path in _checkpoints(config)]
+    seen = sorted({s for each in lineages for s in seen_recordings(windows.samples, each)})
+    for name in sorted({r for each in lineages for r in other_releases(windows.samples, each)}):
+        logger.warning(
+            "The checkpoint learned from %s, which was cut from recordings that '%s' may hold too. "
+            "A conversion of imptc_vru with data.other_release=FOLDER leaves out those of another "
+            "split.", name, split,
+        )  # fmt: skip
     if split != "train" and not config.allow_seen:
         require_unseen(argument, split, seen)
     return len(seen)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from diffstack_mmv.data.lineage import (
         Recordings,
         joined_recordings,
+        other_releases,
         recordings_of,
         require_unseen,
         seen_recordings,
@@ -82,6 +83,7 @@ __all__ = [
     "export_windows",
     "joined_recordings",
     "motion_through",
+    "other_releases",
     "read_controls",
     "read_interpolated",
     "read_leans",

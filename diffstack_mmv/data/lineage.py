@@ -14,6 +14,8 @@ Data sets of a family are the same recordings with other splits, as `eth_ucy_eth
 `eth_ucy_hotel`.
 """
 
+RELEASES = {"imptc": "imptc_vru", "imptc_vru": "imptc"}
+"""Other data set that was cut from the same recordings, whose names do not tell from which."""
 SHOWN = 5
 """Names of recordings in one message."""
 
@@ -54,6 +56,19 @@ def seen_recordings(samples: pd.DataFrame, learned_from: Recordings) -> list[str
         known |= rows["recording"].isin([*elsewhere])
         seen += [f"{name}/{scene}" for scene in sorted(rows["scene"][known])]
     return seen
+
+
+def other_releases(samples: pd.DataFrame, learned_from: Recordings) -> list[str]:
+    """Data sets that a stack learned from, of which the windows are another release.
+
+    Whether single recordings are the same is not known; `data.other_release` of a conversion is.
+
+    Args:
+        samples: One row per window, as in `recordings_of`.
+        learned_from: What the stack learned from.
+    """
+    others = {RELEASES.get(name) for name, _ in _scenes(samples)}
+    return [name for name in learned_from if name in others]
 
 
 def _scenes(samples: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:

@@ -5,6 +5,7 @@ import pytest
 
 from diffstack_mmv.data import (
     joined_recordings,
+    other_releases,
     recordings_of,
     require_unseen,
     seen_recordings,
@@ -49,6 +50,14 @@ def test_what_was_learned_under_another_name_of_the_family_is_seen(judged, seen)
     trained = [("eth_ucy_eth", "biwi_hotel_train", "biwi_hotel"), ("tables_a", "1", "ride")]
     learned = recordings_of(pd.DataFrame(trained, columns=columns))
     assert seen_recordings(pd.DataFrame([judged], columns=columns), learned) == seen
+
+
+@pytest.mark.parametrize(
+    ("judged", "told"), [("imptc", ["imptc_vru"]), ("imptc_vru", []), ("sdd", [])]
+)
+def test_another_release_of_what_was_learned_from_is_named(judged, told):
+    learned = {"imptc_vru": ["0001"], "citr": ["1"]}
+    assert other_releases(windows((judged, "0003_20230322_081506")), learned) == told
 
 
 def test_a_split_with_recordings_of_the_training_is_refused_by_their_names():
