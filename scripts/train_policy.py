@@ -49,10 +49,11 @@ def main(config: DictConfig) -> None:
     env = CrowdNavVectorEnv(world, scenario, config.envs, view, config.progress_reward)
     curve = instantiate(config.training)(env, out / "policy.zip")
     write_text(out / "curve.json", json.dumps(curve, indent=1))
-    steps = curve[-1]["steps"] if curve else 0
+    ends = ", ".join(f"{label} {count}" for label, count in curve[-1]["outcomes"].items())
     logger.info(
-        "%d steps. Drive it: dmmv-navigate controller=ppo policy=%s", steps, out / "policy.zip"
-    )
+        "%d steps; episodes that ended in the last update: %s. Drive it: dmmv-navigate "
+        "controller=ppo policy=%s", curve[-1]["steps"], ends, out / "policy.zip",
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -8,10 +8,9 @@ from pickle import UnpicklingError
 from typing import Any
 from zipfile import BadZipFile
 
-import numpy as np
-
 from diffstack_mmv.checks import message, require, require_at_least, require_positive
 from diffstack_mmv.simulation.vector_env import CrowdNavVectorEnv
+from diffstack_mmv.types import Outcome
 from dmmv_conventions.disk import replacing
 from dmmv_conventions.extras import needs
 from dmmv_conventions.progress import waiting
@@ -53,9 +52,9 @@ class _Clock(BaseCallback):
         return time.process_time() - self.began < self.seconds
 
     def _on_rollout_end(self) -> None:
-        counts = np.bincount(self.outcomes, minlength=5)
+        counts = {each.label: self.outcomes.count(each) for each in Outcome if each.ends_episode}
         row = {"steps": self.num_timesteps, "seconds": time.process_time() - self.began}
-        self.curve.append(row | {"outcomes": counts.tolist()})
+        self.curve.append(row | {"outcomes": counts})
         self.outcomes = []
 
 
@@ -121,7 +120,7 @@ class PPOTraining:
             path: The file, .zip.
 
         Returns:
-            Per update: steps so far, processor seconds, and how often each outcome was met.
+            Per update: steps so far, processor seconds, and how many episodes ended how.
 
         Raises:
             ValueError: An update is of a single step, or the time is too short for any update.

@@ -30,7 +30,9 @@ def test_a_trained_policy_drives(env, driven, tmp_path):
     from diffstack_mmv.simulation.reinforcement import PPOTraining
 
     training = PPOTraining(seconds=2.0, steps=8, minibatch=16, epochs=1, layers=(8,))
-    training(env, tmp_path / "policy.zip")
+    curve = training(env, tmp_path / "policy.zip")
+    assert list(curve[0]["outcomes"]) == ["collision", "success", "timeout"]
+    assert sum(sum(row["outcomes"].values()) for row in curve) > 0
     policy = LearnedPolicy(tmp_path / "policy.zip", driven().model(0.05), lambda control: control)
     record, _ = drive(env.world, env.scenario.cases("val", range(2)), policy)
     lower, upper = env.world.robot.bounds
