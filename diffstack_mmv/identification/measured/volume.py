@@ -30,7 +30,9 @@ def volumes(equations: RideEquations, parts: Eliminated) -> Float[Tensor, " r"]:
 def volume_slopes(equations: RideEquations, at: Linearisation) -> Float[Tensor, "r s"]:
     """Derivatives of the volumes by the shared unknowns in prior deviations, all else following.
 
-    By one-sided differences, towards the inside of a parameter's range.
+    By one-sided differences, towards the inside of a parameter's range. What follows takes what is
+    left of its Newton step as well, with and without the change of a shared unknown: beside a step
+    as small as these, it would be taken for their doing.
 
     Args:
         equations: Of the fit.
@@ -42,8 +44,11 @@ def volume_slopes(equations: RideEquations, at: Linearisation) -> Float[Tensor, 
     size = NEAR * torch.linalg.inv(information + eye).diagonal().sqrt()
     inside = equations.shared.bounds(at.point.shared).upper > size
     steps = torch.where(inside, size, -size)
-    here, slopes = volumes(equations, parts), []
-    for step in torch.diag(steps):
+
+    def volumes_after(step: Float[Tensor, " s"]) -> Float[Tensor, " r"]:
         moved = equations.linearised(equations.followed(at.point, parts, step))
-        slopes.append((volumes(equations, equations.eliminated(moved)) - here) / step.sum())
+        return volumes(equations, equations.eliminated(moved))
+
+    here = volumes_after(torch.zeros_like(steps))
+    slopes = [(volumes_after(step) - here) / step.sum() for step in torch.diag(steps)]
     return torch.stack(slopes, -1)

@@ -25,6 +25,7 @@ from diffstack_mmv.identification.measured import (
     measured_tables,
     paired_by_recording,
 )
+from diffstack_mmv.identification.measured.elimination import RideEquations
 from diffstack_mmv.identification.measured.parts import FinishedParts
 from diffstack_mmv.identification.measured.stages import Judging
 from diffstack_mmv.identification.measured.synthetic import record_rides
@@ -34,6 +35,7 @@ from diffstack_mmv.identification.measured.validation import (
     session_of,
 )
 from diffstack_mmv.identification.measured.vehicle import at_ends
+from diffstack_mmv.identification.measured.volume import volume_slopes
 from diffstack_mmv.types import EgoMeasurement
 from diffstack_mmv.vehicles import load_vehicle
 
@@ -102,6 +104,18 @@ def test_noise_and_bias_of_the_gyro_are_heard_in_the_residuals(recorded, fitted)
         abs(fit.noise.yaw_rate_bias.mean - given.yaw_rate_bias.mean) < 2 * given.yaw_rate_bias.std
     )
     assert fit.noise.across_m == given.across_m
+
+
+def test_what_is_left_of_the_newton_step_is_not_taken_for_a_slope_of_the_volume(recorded, fitted):
+    _, simulator, _ = recorded
+    windows, fit = fitted
+    equations = RideEquations(simulator, windows, InstrumentPriors(), False, fit.point)
+    off = fit.point.window + 1e-3 * torch.ones_like(fit.point.window)
+    ended, early = (
+        volume_slopes(equations, equations.linearised(point)).sum(0)
+        for point in (fit.point, fit.point._replace(window=off))
+    )
+    torch.testing.assert_close(early, ended, rtol=0.1, atol=0.5)
 
 
 def test_windows_may_have_a_vehicle_each(recorded, fitted):
