@@ -159,8 +159,8 @@ def expand(
     """Linear dynamics, gradient of the cost, and Hessian of the Lagrangian c + λ · f.
 
     The costates are those of the trajectory, λ_t = c_x,t + A_t' λ_{t+1}. The noise is
-    ε (Σ|c| + Σ|x c_x| + Σ|u c_u|), ε being the machine precision: what a cost in this precision
-    cannot resolve.
+    ε (Σ|c| + Σ|x c_x| + Σ|u c_u|) + ½ ε² (Σ|x² c_xx| + Σ|u² c_uu|), ε being the machine precision:
+    what a cost in this precision cannot resolve.
     """
     return _expand(dynamics, cost, like, x, u, dynamics_curvature)
 
@@ -245,5 +245,21 @@ def assemble(
         torch.concatenate([part.flatten(1, -2) for part in parts], 1), pack(c_x[-1], hessian.xx[-1])
     )
     gradient = c_u + (B * multipliers.unsqueeze(2)).sum(1)
-    change = magnitude + (x * c_x).abs().sum((0, 1)) + (u * c_u).abs().sum((0, 1))
-    return Model(quadratic, multipliers, gradient, magnitude, torch.finfo(x.dtype).eps * change)
+    eps = torch.finfo(x.dtype).eps
+    rounded = _rounded(x, c_x, hessian.xx, eps) + _rounded(u, c_u, hessian.uu[:-1], eps)
+    return Model(quadratic, multipliers, gradient, magnitude, eps * magnitude + rounded)
+
+
+def _rounded(
+    value: Float[Tensor, "t k N"],
+    gradient: Float[Tensor, "t k N"],
+    hessian: Float[Tensor, "t k k N"],
+    eps: float,
+) -> Float[Tensor, " N"]:
+    """What rounding each entry can do to the cost.
+
+    Where the cost ends at zero, as of a vehicle that has come to rest at its goal, so do the
+    gradient and with it all but the term of second order.
+    """
+    size, curvature = eps * value, hessian.diagonal(dim1=1, dim2=2).movedim(-1, 1)
+    return (size * gradient).abs().sum((0, 1)) + 0.5 * (size.square() * curvature.abs()).sum((0, 1))

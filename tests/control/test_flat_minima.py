@@ -54,6 +54,20 @@ def test_a_vehicle_at_rest_at_its_goal_has_a_gradient(compiled):
     assert both[0][0, 1] == 0
 
 
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+@pytest.mark.parametrize("place", [0.0, 3.0, 1000.0])
+def test_at_rest_at_its_goal_a_cost_of_nothing_is_reached(place, dtype, compiled):
+    """The cost falls to zero but for the rounding of the places, far below that of the guess."""
+    state, guess = torch.tensor([[place, 0.0]], dtype=dtype), torch.full((1, STEPS, 1), 0.1)
+    bounds = Bounds(*(bound.to(dtype) for bound in box(3.0)))
+    solver = ILQR(compile=compiled)
+    solution = solver(double_integrator, reach(place), bounds, state, guess.to(dtype))
+    assert solution.converged.all()
+    assert int(solution.iterations) < 15
+    assert solution.controls.abs().max() <= 1e3 * max(place, 1) * torch.finfo(dtype).eps
+
+
 @pytest.mark.parametrize(("m", "compiled"), [(2, False), (3, False), (3, True)])
 def test_a_control_that_does_nothing_changes_no_gradient(m, compiled):
     goal = torch.tensor([2.0], requires_grad=True)

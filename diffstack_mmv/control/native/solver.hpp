@@ -13,6 +13,7 @@ namespace dmmv {
 
 enum Status { OPEN = -1, CONVERGED = DMMV_CONVERGED, LIMIT = DMMV_LIMIT, STALLED = DMMV_STALLED, NOT_FINITE = DMMV_NOT_FINITE, UNBOUNDED = DMMV_UNBOUNDED };
 constexpr Real NEAR_ = Real(0.3), NOISE = 8, DAMPING_MAX = Real(1e8), GROWTH = 8, DECAY = Real(0.2), SHARE_MIN = Real(1e-4), SHARE_GROWTH = 4, SHARE_DECAY = Real(0.1), FAR = Real(3e-2), ARRIVED = Real(0.99);
+constexpr Real EPSILON = std::numeric_limits<Real>::epsilon();
 constexpr int MOST_SIZES = 64, LARGE = 6;
 
 struct Settings {
@@ -78,6 +79,11 @@ struct Solver {
     std::memcpy(box, bounds, sizeof(box));
   }
 
+  // what rounding an entry can do to the cost, in units of the precision; as _rounded() of expansion.py
+  static Real rounded(Real value, Real slope, Real curvature) {
+    return std::fabs(value * slope) + Real(0.5) * EPSILON * value * value * std::fabs(curvature);
+  }
+
   void expand(bool with_curvature) {
     [[maybe_unused]] const Timed timed{EXPAND};
     magnitude = 0;
@@ -86,11 +92,11 @@ struct Solver {
     for (int t = 0; t <= T; ++t) {
       const Real c = cost_model<P>(t, x[t], u[t], q_cost[t], c_x[t], c_u[t], H_xx[t], H_ux[t], H_uu[t]);
       magnitude += std::fabs(c);
-      for (int i = 0; i < n; ++i) change += std::fabs(x[t][i] * c_x[t][i]);
+      for (int i = 0; i < n; ++i) change += rounded(x[t][i], c_x[t][i], H_xx[t][i * n + i]);
       if (t < T)
-        for (int i = 0; i < m; ++i) change += std::fabs(u[t][i] * c_u[t][i]);
+        for (int i = 0; i < m; ++i) change += rounded(u[t][i], c_u[t][i], H_uu[t][i * m + i]);
     }
-    noise = std::numeric_limits<Real>::epsilon() * (magnitude + change);
+    noise = EPSILON * (magnitude + change);
     std::memcpy(costate[T - 1], c_x[T], sizeof(costate[0]));
     for (int t = T - 1; t >= 0; --t) {
       if (with_curvature)
