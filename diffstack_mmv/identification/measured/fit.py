@@ -32,12 +32,15 @@ from diffstack_mmv.identification.measured.instruments import InstrumentPriors
 from diffstack_mmv.identification.measured.rides import RideWindows
 from diffstack_mmv.identification.measured.shared import SharedUnknowns
 from diffstack_mmv.identification.measured.simulator import RideSimulator
-from diffstack_mmv.identification.measured.volume import volume_slopes, volumes
+from diffstack_mmv.identification.measured.volume import evidence, tilt_change
 
 logger = logging.getLogger(__name__)
 
 STEPS_BACK = 9
 FIRST_DAMPING = 1e-4
+
+LEAST_GAIN, LEAST_SHARE = 0.01, 0.1
+"""Logarithm of evidence, and share of a change of the tilt, that are worth another search."""
 
 SURE = 1e4
 """Factor on the precision of instruments that are given."""
@@ -79,8 +82,8 @@ class MeasuredFitter:
     ) -> MeasuredFit:
         """Fit the parameters of the simulator to windows that do not overlap.
 
-        The shared unknowns maximise the evidence, not the joint density of all unknowns: a first
-        fit finds the tilt, a second one starts from there.
+        The shared unknowns maximise the evidence, not the joint density of all unknowns, where a
+        first search ends.
 
         Args:
             simulator: Of the model.
@@ -97,11 +100,31 @@ class MeasuredFitter:
         equations = self._equations(simulator, windows, point, tilt)
         found = self._lowest(equations, point)
         if tilt is None:
-            slopes = volume_slopes(equations, found.at)
-            equations = self._equations(simulator, windows, point, slopes)
-            taken += found.taken
-            found = self._lowest(equations, found.at.point)
+            equations, found = self._of_most_evidence(equations, found)
         return self._result(equations, found.at, taken + found.taken, found.converged)
+
+    def _of_most_evidence(
+        self, equations: RideEquations, found: _Lowest
+    ) -> tuple[RideEquations, _Lowest]:
+        """Tilts until the slope of the volume is that where the search ends.
+
+        The volume is not linear: one tilt, taken where the joint density is largest, may lead far
+        past the optimum. So each tilt is changed only as far as the evidence rises.
+        """
+        most, change = evidence(equations, found.at), tilt_change(equations, found.at)
+        share, taken = 1.0, found.taken
+        while share >= LEAST_SHARE and change.gain >= LEAST_GAIN:
+            tilt = equations.tilt + share * change.tilt
+            point = found.at.point
+            tilted = self._equations(equations.simulator, equations.windows, point, tilt)
+            trial = self._lowest(tilted, point)
+            taken, reached = taken + trial.taken, evidence(tilted, trial.at)
+            if reached < most + LEAST_GAIN:
+                share *= 0.5
+            else:
+                equations, found, most = tilted, trial, reached
+                change = tilt_change(equations, found.at)
+        return equations, found._replace(taken=taken)
 
     def result(
         self,
@@ -135,11 +158,16 @@ class MeasuredFitter:
         return RideEquations(simulator, windows, self.priors, self.with_gyro, start, tilt)
 
     def _lowest(self, equations: RideEquations, point: RideUnknowns) -> "_Lowest":
-        """Where the cost ceases to fall. A small step that was damped much proves nothing."""
+        """Where the cost ceases to fall.
+
+        A small step that was damped much proves nothing: it is followed by one from little damping.
+        """
         at, taken, falls = equations.linearised(point), 0, True
-        damping = Damping(FIRST_DAMPING, torch.full_like(at.cost.window, FIRST_DAMPING))
+        first = Damping(FIRST_DAMPING, torch.full_like(at.cost.window, FIRST_DAMPING))
+        damping = first
         while falls and taken < self.iterations:
             taken, before = taken + 1, at.cost
+            little = max(damping.others, float(damping.window.max())) <= FIRST_DAMPING
             for _ in range(STEPS_BACK):
                 trial = equations.trial(at, damping)
                 cost = equations.cost(trial)
@@ -147,7 +175,8 @@ class MeasuredFitter:
                 if cost.total < before.total:
                     at = equations.linearised(trial)
                     break
-            falls = before.total - at.cost.total >= self.tolerance
+            small = before.total - at.cost.total < self.tolerance
+            falls, damping = not (small and little), first if small else damping
             logger.debug("step %d: cost %.3f", taken, at.cost.total)
         return _Lowest(at, taken, not falls)
 
@@ -216,7 +245,6 @@ class MeasuredFitter:
         spread = torch.linalg.inv(parts.corner) * factor**2 + gain @ covariance @ gain.mT
         found = equations.simulator.simulate(windows, point.shared, point.local(windows.recording))
         apart = (found.position - windows.position).square().sum(-1)[windows.known]
-        volume = volumes(equations, parts).sum() + 0.5 * torch.logdet(whole)
         unknowns, recording_std = equations.shared, spread.diagonal(dim1=-2, dim2=-1).sqrt()
         return MeasuredFit(
             point=point,
@@ -226,7 +254,7 @@ class MeasuredFitter:
             covariance=covariance,
             recording_std=recording_std,
             reduced=parts.reduced,
-            log_evidence=float(equations.tilted(point) - at.cost.total - volume),
+            log_evidence=evidence(equations, at) - 0.5 * float(torch.logdet(whole)),
             rms_m=float(apart.mean().sqrt()),
             noise_factor=factor,
             tilt=equations.tilt,

@@ -136,12 +136,11 @@ class Fitting:
         simulator = self.simulator(model, noise)
         point, tilt = start or (None, None)
         fit = fitter(simulator, windows, point, tilt)
-        for number in range(self.rounds):
+        for _ in range(self.rounds):
             noise, fitter = replace(noise, **fit.sizes), replace(fitter, priors=fit.priors)
             simulator = self.simulator(model, noise)
             point = fitter.coasting_again(simulator, windows, fit.point)
-            last = start is None and number == self.rounds - 1
-            fit = fitter(simulator, windows, point, None if last else fit.tilt)
+            fit = fitter(simulator, windows, point, tilt)
         return Fitted(simulator, fit)
 
     def _given(

@@ -7,6 +7,8 @@ height times a curvature that is itself unknown: without this slope the height w
 four deviations in rides of a known vehicle.
 """
 
+from typing import NamedTuple
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -27,6 +29,26 @@ def volumes(equations: RideEquations, parts: Eliminated) -> Float[Tensor, " r"]:
     return (0.5 * torch.logdet(parts.corner)).index_add(0, equations.windows.recording, windows)
 
 
+def evidence(equations: RideEquations, at: Linearisation) -> float:
+    """Logarithm of the evidence of the shared unknowns, with their prior, beyond a constant."""
+    volume = volumes(equations, equations.eliminated(at)).sum()
+    return float(equations.tilted(at.point) - at.cost.total - volume)
+
+
+class TiltChange(NamedTuple):
+    """What a tilt lacks."""
+
+    tilt: Float[Tensor, "r s"]
+    gain: float  # of the logarithm of the evidence, were the volume linear
+
+
+def tilt_change(equations: RideEquations, at: Linearisation) -> TiltChange:
+    """By how much the tilt of a fit differs from the slopes of the volume at its end."""
+    change = volume_slopes(equations, at) - equations.tilt
+    push = change.sum(0)
+    return TiltChange(change, 0.5 * float(push @ _covariance(equations.eliminated(at)) @ push))
+
+
 def volume_slopes(equations: RideEquations, at: Linearisation) -> Float[Tensor, "r s"]:
     """Derivatives of the volumes by the shared unknowns in prior deviations, all else following.
 
@@ -39,9 +61,7 @@ def volume_slopes(equations: RideEquations, at: Linearisation) -> Float[Tensor, 
         at: Its end.
     """
     parts = equations.eliminated(at)
-    information = parts.reduced.information.sum(0)
-    eye = torch.eye(len(information), dtype=information.dtype)
-    size = NEAR * torch.linalg.inv(information + eye).diagonal().sqrt()
+    size = NEAR * _covariance(parts).diagonal().sqrt()
     inside = equations.shared.bounds(at.point.shared).upper > size
     steps = torch.where(inside, size, -size)
 
@@ -52,3 +72,9 @@ def volume_slopes(equations: RideEquations, at: Linearisation) -> Float[Tensor, 
     here = volumes_after(torch.zeros_like(steps))
     slopes = [(volumes_after(step) - here) / step.sum() for step in torch.diag(steps)]
     return torch.stack(slopes, -1)
+
+
+def _covariance(parts: Eliminated) -> Float[Tensor, "s s"]:
+    """Of the shared unknowns, in prior deviations."""
+    information = parts.reduced.information.sum(0)
+    return torch.linalg.inv(information + torch.eye(len(information), dtype=information.dtype))
