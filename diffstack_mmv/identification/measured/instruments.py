@@ -38,7 +38,7 @@ class InstrumentPriors:
         steer_offset: Added to the measured steering, rad.
         steer_scale: Factor on it in one recording.
         speed_scale: Factor on the measured speed.
-        delay_s: By how much the measured steering comes late.
+        delay_s: By how much the measured steering comes late; below zero, early.
         antenna_ahead_m: Place of the antenna ahead of the axle that does not steer.
         antenna_height_m: Its height, which the lean moves sideways.
         steer_gain: Factor on the steering that all recordings share: the gain of the encoder and

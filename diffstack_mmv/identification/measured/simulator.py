@@ -234,7 +234,7 @@ class RideSimulator:
         offset, scale, pace, delay = recording.unbind(-1)
         excess, loss = local[..., POSE + RECORDING :][..., :COASTING].unbind(-1)
         errors = local[..., POSE + RECORDING + COASTING :]
-        steer = gain * scale * (steer - delay * steer_rate) + offset
+        steer = gain * scale * (steer + delay * steer_rate) + offset
         ends = torch.arange(steps + 1, dtype=errors.dtype)
         bend = self._between(errors[..., :count], ends[:-1] + 0.5)
         wheel = speed * (pace + self._between(errors[..., count:], ends))

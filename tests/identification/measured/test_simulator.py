@@ -86,3 +86,20 @@ def test_the_way_of_the_antenna_is_that_of_a_vehicle_in_continuous_time(dynamics
 
     assert error_m(20) < 0.01
     assert error_m(40) < 0.3 * error_m(20) + 1e-9
+
+
+def test_steering_that_is_measured_late_is_ahead_of_what_is_measured():
+    spec, rate, late_s = load_vehicle("autobike"), 0.3, 0.05
+    model = model_of(spec, "kbm", 0.1).double()
+    simulator = RideSimulator(model, ParameterVector(model, spec), MeasurementNoise(), spec)
+    ends = torch.zeros(1, STEPS + 1, dtype=torch.float64)
+    measured = rate * 0.1 * torch.arange(STEPS).double().unsqueeze(0)
+    windows = RideWindows(
+        torch.zeros(1), (), ends[:, :2], ends.unsqueeze(-1).expand(-1, -1, 2), ends, ends > -1,
+        measured, 0 * measured + rate, ends + 3, 0 * measured, ends,
+    )  # fmt: skip
+    local = torch.zeros(1, POSE + RECORDING + COASTING + 2 * simulator.knots(STEPS)).double()
+    local[:, POSE + 1 : POSE + RECORDING] = torch.tensor([1.0, 1.0, late_s])  # scales, delay
+    shared = torch.cat([simulator.parameters.start(), torch.tensor([0.0, 0.0, 1.0]).double()])
+    steer = simulator.simulate(windows, shared, local).steer
+    torch.testing.assert_close(steer, measured + rate * late_s)
