@@ -35,6 +35,9 @@ from dmmv_conventions.progress import counted
 
 Models = Mapping[str, Callable[[], DynamicsModel]]
 
+LEAST_RISE = 1.0
+"""Of the logarithm of the evidence, for another round of learning noise and priors."""
+
 
 class Fitted(NamedTuple):
     """A model with its fit."""
@@ -131,17 +134,25 @@ class Fitting:
     def _learned(
         self, windows: RideWindows, model: Callable[[], DynamicsModel], start: Start | None
     ) -> Fitted:
-        """Noise, priors and what coasts are learned by expectation and maximisation."""
+        """Noise, priors and what coasts are learned by expectation and maximisation.
+
+        Its steps become small long before its end: it ends where the evidence hardly rises.
+        """
         noise, fitter = self.noise, self.fitter
         simulator = self.simulator(model, noise)
         point, tilt = start or (None, None)
-        fit = fitter(simulator, windows, point, tilt)
+        best = Fitted(simulator, fitter(simulator, windows, point, tilt))
         for _ in range(self.rounds):
+            fit = best.fit
             noise, fitter = replace(noise, **fit.sizes), replace(fitter, priors=fit.priors)
             simulator = self.simulator(model, noise)
             point = fitter.coasting_again(simulator, windows, fit.point)
-            fit = fitter(simulator, windows, point, tilt)
-        return Fitted(simulator, fit)
+            found = Fitted(simulator, fitter(simulator, windows, point, tilt))
+            rise = found.fit.log_evidence - fit.log_evidence
+            best = found if rise > 0 else best
+            if rise < LEAST_RISE:
+                break
+        return best
 
     def _given(
         self,

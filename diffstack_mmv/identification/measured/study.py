@@ -83,8 +83,8 @@ class MeasuredStudy:
         spec: The vehicle.
         fitter: The least squares, with the priors of the instruments to begin with.
         noise: Deviations of the measurements to begin with.
-        noise_rounds: How often noise and priors are set to what the recordings tell of them under
-            `reference`; 0 keeps both.
+        noise_rounds: How often at most noise and priors are set to what the recordings tell of
+            them under `reference`, until the evidence hardly rises; 0 keeps both.
         fitted: Windows of the fit, which do not overlap.
         history_s: History of a roll-out.
         horizon_s: Its length after that.
@@ -100,7 +100,7 @@ class MeasuredStudy:
     spec: VehicleSpec
     fitter: MeasuredFitter = MeasuredFitter()
     noise: MeasurementNoise = MeasurementNoise()
-    noise_rounds: int = 4
+    noise_rounds: int = 40
     fitted: RideWindowSettings = RideWindowSettings()
     history_s: float = 2.0
     horizon_s: float = 3.0
