@@ -120,9 +120,10 @@ def _choices(result: Mapping[str, Any]) -> str:
     """Who walks, what is known of them, and in what the robot is not what the controller thinks."""
     sees = "see" if result["robot_visible"] else "do not see"
     told = ", ".join(f"{group} `{option}`" for group, option in result["choices"].items())
-    neutral = (None, [], 0.0, 1.0)  # of what is not disturbed, a factor or an amount
     disturbed = [
-        f"{name} {value}" for name, value in result["disturbances"].items() if value not in neutral
+        f"{name} {value}"
+        for name, value in result["disturbances"].items()
+        if value not in (None, [], 1.0 if name.endswith("_factor") else 0.0)
     ]
     disturbances = f" Disturbances: {', '.join(disturbed)}." if disturbed else ""
     return f"The pedestrians {sees} the robot; {told}.{disturbances} "

@@ -64,8 +64,12 @@ def test_every_method_is_a_row_with_its_interval(result, numbers):
             {"disturbances": {"delay_s": 0.15, "noise": [0.2, 0.0], "friction": 0.3}},
             "`predictor`. Disturbances: delay_s 0.15, noise [0.2, 0.0], friction 0.3. Brackets",
         ),
+        (
+            {"disturbances": {"delay_s": 1.0, "friction": 1.0, "believed_mass_factor": 1.0}},
+            "`predictor`. Disturbances: delay_s 1.0, friction 1.0. Brackets",
+        ),
     ],
-    ids=["as it is", "visible", "recorded", "disturbed"],
+    ids=["as it is", "visible", "recorded", "disturbed", "disturbed by one"],
 )
 def test_what_decides_the_scores_stands_above_them(result, given, told, tmp_path):
     write_closed_loop(tmp_path, result | given, {}, CLOSED_LOOP, [])
