@@ -53,7 +53,7 @@ class AvoidanceSearch:
             cases: What `summarise` tells of them, which is completed by `avoidable`.
 
         Returns:
-            Number of feasible cases, and success and collision rate among them.
+            Number of feasible cases, and success and collision rate among them; None without any.
         """
         collided = [case for case in cases if case["outcome"] == Outcome.COLLISION.label]
         for case in counted(collided, "search avoidable collisions", "case"):
@@ -61,13 +61,15 @@ class AvoidanceSearch:
             until = min(case["time_s"] + BEYOND_S, world.verdict.limit_s)
             case["avoidable"] = self(world, scene, until)
         feasible = [case for case in cases if case.get("avoidable", 1.0) > 0]
-        count = max(len(feasible), 1)
-        succeeded = sum(case["outcome"] == Outcome.SUCCESS.label for case in feasible)
-        hit = sum(case["outcome"] == Outcome.COLLISION.label for case in feasible)
+
+        def rate(outcome: Outcome) -> float | None:
+            ended = [case["outcome"] == outcome.label for case in feasible]
+            return sum(ended) / len(ended) if ended else None
+
         return {
             "n": len(feasible),
-            "success_rate": succeeded / count,
-            "collision_rate": hit / count,
+            "success_rate": rate(Outcome.SUCCESS),
+            "collision_rate": rate(Outcome.COLLISION),
         }
 
     @torch.no_grad()

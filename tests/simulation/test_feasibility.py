@@ -65,6 +65,9 @@ def test_who_cannot_move_out_of_the_way_could_not_avoid_anything(collided):
     assert set(shares) <= {0.0, 1.0}
     told = search.judge(world_with(1e-6), SCENARIO, "train", cases)
     assert told["n"] == sum(case["avoidable"] > 0 for case in cases)
+    caught = [case for case in cases if case["avoidable"] == 0]
+    told = search.judge(world_with(1e-6), SCENARIO, "train", caught)
+    assert told == {"n": 0, "success_rate": None, "collision_rate": None}
 
 
 class Closing:
