@@ -49,7 +49,7 @@ def ablation_table(runs: Sequence[Run], models: Mapping[str, str]) -> pd.DataFra
     return pd.DataFrame(rows)
 
 
-def _scores(told: Any, mode: str) -> dict[str, float]:
+def _scores(told: Any, mode: str) -> dict[str, float | None]:
     own, situations = told["modes"][mode], _situations(told, mode)
     return {
         **{name: own[name] for name in ("median_ade", *OTHERS)},
@@ -63,7 +63,7 @@ def _situations(told: Any, mode: str) -> dict[str, Any]:
     return {name: there[name] for name in SITUATIONS if name in there}
 
 
-def _trivial(told: Any, mode: str) -> dict[str, dict[str, float]]:
+def _trivial(told: Any, mode: str) -> dict[str, dict[str, float | None]]:
     """Scores of each trivial path; only its distances, and its NLL where it is a forecast."""
     found = {}
     for name, per_mode in told["baselines"].items():
@@ -78,8 +78,9 @@ def _trivial(told: Any, mode: str) -> dict[str, dict[str, float]]:
     return found
 
 
-def _cells(scores: Sequence[Mapping[str, float]]) -> dict[str, str]:
+def _cells(scores: Sequence[Mapping[str, float | None]]) -> dict[str, str]:
+    """Cells by their headings; a score that could judge no sample is None, and no part of one."""
     return {
-        heading: mean_std([each[name] for each in scores if name in each])
+        heading: mean_std([each[name] for each in scores if each.get(name) is not None])
         for name, heading in (DISTANCES | OTHERS).items()
     }

@@ -1,5 +1,7 @@
 """The table of an ablation: a row per set, seeds counted, trivial paths once."""
 
+import json
+
 import pytest
 
 from diffstack_mmv.reporting import Run, ablation_table, write_json, write_paper_table
@@ -69,3 +71,16 @@ def test_where_nobody_stands_there_is_a_dash(tmp_path):
     table = ablation_table([run], {"kbm": "DiffKBM"}).set_index("")
     assert list(table["standing"]) == ["–", "–"]
     assert list(table["moving"]) == ["2.000", "5.000"]
+
+
+def test_a_score_that_judged_no_sample_is_a_dash_and_no_part_of_a_mean(runs):
+    """As the regions with a horizon of less than three steps; it was an error."""
+    told = json.loads((runs[0].report / "metrics.json").read_text())
+    told["modes"]["bicycle"] |= {"nll": None, "coverage_50": None}
+    write_json(runs[0].report / "metrics.json", told)
+    (runs[1].report / "metrics.json").unlink()
+    row = ablation_table(runs[:2], {"kbm": "DiffKBM"}).set_index("").loc["present"]
+    assert (row["NLL"], row["50 % region"], row["90 % region"]) == ("–", "–", "1.000")
+    write_scores(runs[1].report, 1.2)
+    row = ablation_table(runs[:2], {"kbm": "DiffKBM"}).set_index("").loc["present"]
+    assert (row["NLL"], row["90 % region"]) == ("1.200", "1.100 ± 0.141")
