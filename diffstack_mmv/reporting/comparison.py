@@ -60,7 +60,8 @@ def compare(runs: pd.DataFrame, scores: Scores) -> Comparison:
 
 def _is_best(values: pd.Series, lower_is_better: bool) -> pd.Series:
     """Which values are the best, as far as the table shows it; none where there is no other."""
-    shown = values.round(3)
+    # `round` and a table do not round every number alike: 0.0125 becomes 0.012 and "0.013"
+    shown = values.map("{:.3f}".format).astype(float)
     extreme = shown.min() if lower_is_better else shown.max()
     return (shown == extreme) & (values.notna().sum() > 1)
 

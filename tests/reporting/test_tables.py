@@ -255,6 +255,17 @@ def test_equals_are_all_best_and_one_alone_is_not(tmp_path):
     assert both.best.loc[both.table["dynamics"] != "stand_still", "solved"].all()
 
 
+@pytest.mark.parametrize(("other", "ties"), [(0.012, False), (0.013, True)])
+def test_what_is_best_goes_by_the_numbers_that_the_table_shows(tmp_path, other, ties):
+    """0.0125 is shown as 0.013, but was taken for 0.012."""
+    told = read_runs([write_run(tmp_path / name, name, 0) for name in ("kbm", "gm3")])
+    told["collision_rate"] = told["dynamics"].map({"kbm": 0.0125, "gm3": other})
+    comparison = compare(told, OPEN_LOOP)
+    best = comparison.table.loc[comparison.best["collisions"]]
+    assert set(best["dynamics"]) == ({"kbm", "gm3"} if ties else {"gm3"})
+    assert best["collisions"].nunique() == 1
+
+
 def test_best_is_bold_in_markdown_and_latex_but_not_in_csv(runs, tmp_path):
     comparison = compare(read_runs(runs), OPEN_LOOP)
     write_comparison(tmp_path / "out", comparison, paired_tests(runs, OPEN_LOOP["ade"]))
