@@ -62,7 +62,8 @@ def judged_predictions(stack: DiffStackMMV, batch: StackBatch, first: int, seed:
     ego = ego_forecast(forecast)
     further = _further_scores(ego, batch.ego_future, first, seed)
     scores = prediction_scores(batch, forecast) | further
-    return Judged(scores, {"prediction": ego.median()}, batch.goal, ego)
+    goal = where_known(batch.goal, batch.ego_future.valid[:, -1:])
+    return Judged(scores, {"prediction": ego.median()}, goal, ego)
 
 
 def _further_scores(forecast: Forecast, future: Tracks, first: int, seed: int) -> dict[str, Tensor]:

@@ -76,6 +76,15 @@ def test_without_plans_the_prediction_is_judged_as_it_is_beside_them():
         assert np.array_equal(curve, beside.errors["bicycle"][name])
 
 
+def test_a_path_to_a_goal_that_was_not_recorded_is_not_judged_without_plans_either():
+    """It was led to whatever stands in the last row."""
+    windows = Recorded(without_future(batch_of(), 1, STEPS - 2))
+    for plans in (True, False):
+        samples = evaluate_windows(stack_of(FutureGoal()), BASELINES, windows, plans=plans).samples
+        assert np.flatnonzero(samples["spline/ade"].isna()).tolist() == [1], plans
+        assert not samples["stand_still/ade"].isna().any()
+
+
 def test_a_batch_is_judged_in_hindsight_once(monkeypatch):
     stack, batch, judged = stack_of(PredictedGoal()), batch_of(), []
     expected = stack.sample_scores(batch)
