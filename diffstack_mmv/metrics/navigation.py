@@ -209,10 +209,14 @@ class DiscomfortDistance(EpisodeMean):
 
 
 class EpisodeMinimumDistance(EpisodeMean):
-    """Mean over the episodes of the smallest clearance, an overlap counting as zero."""
+    """Mean of the smallest clearance, an overlap counting as zero, over episodes with anybody."""
 
     def _values(self, record: EpisodeRecord) -> Tensor:
-        return record.clearance.amin(dim=1).clamp(min=0)
+        nearest = record.clearance.amin(dim=1).clamp(min=0)
+        return nearest.where(nearest.isfinite(), 0)
+
+    def _weights(self, record: EpisodeRecord) -> Tensor:
+        return record.clearance.amin(dim=1).isfinite()
 
 
 class RideAcceleration(EpisodeMean):

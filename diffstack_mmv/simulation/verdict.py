@@ -112,7 +112,7 @@ class Verdict(ABC):
         Returns:
             Outcome, reward and smallest clearance in m.
         """
-        clearance = _nearest(self._clearance(step))
+        clearance = _nearest(self._clearance(step), step.pedestrians.present)
         way = step.path.position[..., -1, :] - step.goal
         distance = length(way)
         facts = Facts(
@@ -133,7 +133,7 @@ class Verdict(ABC):
         offset = pedestrians.position - position
         heading = heading.expand(pedestrians.radius.shape)
         approach = ClosestApproach(offset, offset, pedestrians.radius, heading, heading)
-        return _nearest(footprint.clearance(approach))
+        return _nearest(footprint.clearance(approach), pedestrians.present)
 
     @abstractmethod
     def _clearance(self, step: Encounter) -> Float[Tensor, "*b h"]:
@@ -148,8 +148,10 @@ class Verdict(ABC):
         """Weigh the facts against each other."""
 
 
-def _nearest(clearance: Float[Tensor, "*b h"]) -> Float[Tensor, "*b"]:
+def _nearest(
+    clearance: Float[Tensor, "*b h"], present: Bool[Tensor, "*b h"]
+) -> Float[Tensor, "*b"]:
     """Clearance in m to the nearest of h pedestrians, infinite where there are none."""
-    if clearance.shape[-1] == 0:
-        return clearance.new_full(clearance.shape[:-1], torch.inf)
-    return clearance.amin(dim=-1)
+    # who is absent is kept at a place of its own, far away, which is no clearance
+    apart = torch.where(present, clearance, torch.inf)
+    return torch.nn.functional.pad(apart, (0, 1), value=torch.inf).amin(dim=-1)

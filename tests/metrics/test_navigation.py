@@ -96,6 +96,11 @@ def test_the_smallest_distance_of_an_episode_is_at_least_zero():
     clearance[0, 4] = -0.3
     record = record_of(torch.tensor([2, 3]), clearance=clearance)
     assert score(EpisodeMinimumDistance, record) == pytest.approx(0.25)
+    clearance[1] = torch.inf  # nobody is there
+    assert score(EpisodeMinimumDistance, record) == 0.0
+    assert math.isnan(
+        score(EpisodeMinimumDistance, record_of(torch.tensor([3]), clearance=clearance[1:]))
+    )
 
 
 def test_start_and_end_of_an_episode_are_no_uneasy_steps():

@@ -4,12 +4,15 @@ import numpy as np
 import pytest
 import torch
 
-from diffstack_mmv.simulation import OrcaCrowd, ReactiveReplayCrowd, ReplayCrowd
+from diffstack_mmv.simulation import DiscFootprint, OrcaCrowd, ReactiveReplayCrowd, ReplayCrowd
 from diffstack_mmv.simulation.pedestrians import VisibleRobot
 from diffstack_mmv.simulation.pedestrians.recorded import far_away
 from diffstack_mmv.simulation.recorded.case_scene import case_scene
 from diffstack_mmv.simulation.recorded.crossing import Crossing, RecordedRows
 from diffstack_mmv.simulation.recorded.passage import PassageRules, Walks, _bend, _reaches_end
+from diffstack_mmv.simulation.verdict import Encounter, RobotPath
+from diffstack_mmv.simulation.verdicts import CrowdNavVerdict, ExactVerdict
+from diffstack_mmv.types import map_tensors
 
 STEP_S, LEAD, WAY_M = 0.5, 2, 10.0
 # one walks along x all the time, one enters in the fourth row and leaves after the fifth
@@ -51,6 +54,24 @@ def test_a_scene_begins_with_those_who_are_there_as_fast_as_they_came():
     mean = (0.4 + 0.6 + 0.6 + np.hypot(0.8, 0.2) + 0.6) / 5
     expected = [mean / STEP_S, (1.0 + 0.5) / 2 / STEP_S, 0.1]
     assert crowd.preferred_speed.tolist() == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("kind", [CrowdNavVerdict, ExactVerdict])
+def test_who_is_absent_has_no_clearance(kind):
+    """They were told to be a kilometre away, which is where they are kept."""
+    still = torch.zeros(1, 2, dtype=torch.float64)
+    path = RobotPath(still.expand(3, 2), still[:, 0].expand(3))
+    crowd = map_tensors(lambda field: field.clone(), scene().pedestrians)
+    step = Encounter(
+        path, DiscFootprint(0.3), still[0], crowd, still.expand(3, 2), still[0], still[0, 0], STEP_S
+    )
+    nobody = crowd._replace(inside=torch.zeros_like(crowd.inside))
+    for people, expected in ((crowd, 1.0 - 0.25 - 0.3), (nobody, np.inf)):
+        told = (
+            kind(9.0)(step._replace(pedestrians=people)).clearance,
+            kind.at_rest(*step[:2], people),
+        )
+        assert list(map(float, told)) == pytest.approx([expected] * 2)
 
 
 def test_who_enters_has_come_from_where_it_was_recorded_and_who_leaves_is_far_away():
