@@ -5,6 +5,7 @@ from typing import Any
 
 import pandas as pd
 
+from diffstack_mmv.reporting.compared_runs import is_forecast
 from diffstack_mmv.reporting.prediction_table import named_apart
 from diffstack_mmv.reporting.runs import Run
 from diffstack_mmv.reporting.table import NONE, mean_std
@@ -12,7 +13,7 @@ from diffstack_mmv.reporting.table import NONE, mean_std
 SITUATIONS = ("moving", "standing")
 DISTANCES = {"median_ade": "ADE of the median [m]", "moving": "moving", "standing": "standing"}
 OTHERS = {
-    "nll": "NLL",
+    "nll": "NLL [nats]",
     "energy_score": "energy score [m]",
     "coverage_50": "50 % region",
     "coverage_90": "90 % region",
@@ -64,9 +65,11 @@ def _situations(told: Any, mode: str) -> dict[str, Any]:
 
 
 def _trivial(told: Any, mode: str) -> dict[str, dict[str, float | None]]:
-    """Scores of each trivial path; only its distances, and its NLL where it is a forecast."""
+    """Distances of each trivial path, and its NLL; none of one that is led to the human's goal."""
     found = {}
     for name, per_mode in told["baselines"].items():
+        if not is_forecast(name, told, mode):
+            continue
         situations = {
             situation: scores["baselines"][name]["ade"]
             for situation, scores in _situations(told, mode).items()

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from diffstack_mmv.reporting.compared_runs import is_forecast
 from diffstack_mmv.reporting.runs import Run
 from diffstack_mmv.reporting.table import NONE
 
@@ -18,13 +19,14 @@ METHODS: Mapping[str, tuple[str, str]] = {
     "best of 20 spread paths": ("best_of_20_spread_ade", "best_of_20_spread_fde"),
 }
 """Rows of each model: what they are called, and the scores in them."""
-MEAN = "mean"
+HEADING, MEAN = "ADE / FDE [m]", "mean"
 
 
 def prediction_table(runs: Sequence[Run], models: Mapping[str, str]) -> pd.DataFrame:
     """One row per method, one column `ADE / FDE` in m per data set (and mode), and their mean.
 
     Several seeds are averaged. A data set in which a run is missing has a dash; so has the mean.
+    Trivial paths that are led to the goal of the human are no predictions, and left out.
 
     Args:
         runs: Evaluated runs; those that have not ended are told by dashes.
@@ -41,7 +43,7 @@ def prediction_table(runs: Sequence[Run], models: Mapping[str, str]) -> pd.DataF
             rows[method][name_of(run)] = both
     table = []
     for method, per_set in rows.items():
-        row: dict[str, Any] = {"method": method}
+        row: dict[str, Any] = {HEADING: method}
         means = {name: per_set[name].mean(0) for name in names if name in per_set}
         row |= {name: _pair(means.get(name, np.full(2, np.nan))) for name in names}
         complete = len(means) == len(names)
@@ -72,8 +74,9 @@ def _values(run: Run, told: Any, models: Mapping[str, str]) -> dict[str, np.ndar
         for method, names in METHODS.items()
     }
     for name, per_mode in told["baselines"].items():
-        trivial = [per_mode[run.mode][score] for score in ("ade", "fde")]
-        values[name.replace("_", " ")] = np.array(trivial, np.float64)
+        if is_forecast(name, told, run.mode):
+            trivial = [per_mode[run.mode][score] for score in ("ade", "fde")]
+            values[name.replace("_", " ")] = np.array(trivial, np.float64)
     return values
 
 

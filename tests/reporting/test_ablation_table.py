@@ -12,6 +12,7 @@ SCORES = ("median_ade", "nll", "energy_score", "coverage_50", "coverage_90")
 def write_scores(folder, value, situations=("moving", "standing")):
     trivial = {"kalman": {"ade": 5.0}}
     told = {
+        "goal": "predicted",
         "modes": {"bicycle": dict.fromkeys(SCORES, value) | {"nll_kalman": 1.5, "n": 7}},
         "baselines": {"kalman": {"bicycle": {"ade": 4.0}}},
         "situations": {
@@ -40,7 +41,7 @@ def test_each_set_is_a_row_and_trivial_paths_follow(runs):
     assert table.loc["without", "windows"] == "7"
     assert table.loc["without", "ADE of the median [m]"] == "2.100 ± 0.141"
     assert table.loc["present", "moving"] == "2.200 ± 0.283"
-    assert table.loc["kalman", "NLL"] == "1.500"
+    assert table.loc["kalman", "NLL [nats]"] == "1.500"
     assert table.loc["kalman", "standing"] == "5.000"
     assert table.loc["kalman", "50 % region"] == "–"
 
@@ -60,7 +61,7 @@ def test_a_set_without_any_result_has_dashes(runs):
     for run in runs[:2]:
         (run.report / "metrics.json").unlink()
     table = ablation_table(runs, {"kbm": "DiffKBM"}).set_index("")
-    assert (table.loc["present", "seeds"], table.loc["present", "NLL"]) == ("0 of 2", "–")
+    assert (table.loc["present", "seeds"], table.loc["present", "NLL [nats]"]) == ("0 of 2", "–")
     assert table.loc["kalman", "ADE of the median [m]"] == "4.000"
 
 
@@ -80,7 +81,15 @@ def test_a_score_that_judged_no_sample_is_a_dash_and_no_part_of_a_mean(runs):
     write_json(runs[0].report / "metrics.json", told)
     (runs[1].report / "metrics.json").unlink()
     row = ablation_table(runs[:2], {"kbm": "DiffKBM"}).set_index("").loc["present"]
-    assert (row["NLL"], row["50 % region"], row["90 % region"]) == ("–", "–", "1.000")
+    assert (row["NLL [nats]"], row["50 % region"], row["90 % region"]) == ("–", "–", "1.000")
     write_scores(runs[1].report, 1.2)
     row = ablation_table(runs[:2], {"kbm": "DiffKBM"}).set_index("").loc["present"]
-    assert (row["NLL"], row["90 % region"]) == ("1.200", "1.100 ± 0.141")
+    assert (row["NLL [nats]"], row["90 % region"]) == ("1.200", "1.100 ± 0.141")
+
+
+def test_a_path_that_is_led_to_the_humans_goal_is_no_prediction(runs):
+    for run in runs:
+        told = json.loads((run.report / "metrics.json").read_text()) | {"goal": "future"}
+        told["baselines"]["constant_acceleration"] = {"bicycle": {"ade": 0.1}}
+        write_json(run.report / "metrics.json", told)
+    assert list(ablation_table(runs, {"kbm": "DiffKBM"})[""]) == ["present", "without", "kalman"]

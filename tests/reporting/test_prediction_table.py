@@ -8,10 +8,12 @@ from diffstack_mmv.reporting import Run, prediction_table, write_json
 MODELS = {"unicycle": "Trajectron++"}
 
 
-def write_scores(folder, shift):
-    modes = {"pedestrian": dict.fromkeys(PREDICTED, 1.0 + shift)}
+def write_scores(folder, shift, goal="predicted"):
+    modes = {"pedestrian": dict.fromkeys(PREDICTED, 1.0 + shift) | {"nll_constant_velocity": 1.5}}
     baselines = {"constant_velocity": {"pedestrian": {"ade": 2.0, "fde": 4.0}}}
-    write_json(folder / "metrics.json", {"modes": modes, "baselines": baselines})
+    if goal == "future":
+        baselines["constant_acceleration"] = {"pedestrian": {"ade": 0.1, "fde": 0.0}}
+    write_json(folder / "metrics.json", {"modes": modes, "baselines": baselines, "goal": goal})
 
 
 @pytest.fixture
@@ -26,7 +28,7 @@ def runs(tmp_path):
 
 
 def test_seeds_and_data_sets_are_averaged(runs):
-    table = prediction_table(runs, MODELS).set_index("method")
+    table = prediction_table(runs, MODELS).set_index("ADE / FDE [m]")
     assert list(table.columns) == ["eth", "hotel", "mean"]
     assert set(table.loc["Trajectron++, best of 20 paths"]) == {"1.10 / 1.10"}
     assert table.loc["constant velocity", "mean"] == "2.00 / 4.00"
@@ -34,7 +36,11 @@ def test_seeds_and_data_sets_are_averaged(runs):
 
 def test_a_run_that_has_not_ended_is_no_part_of_a_mean(runs):
     (runs[3].report / "metrics.json").unlink()
-    row = prediction_table(runs, MODELS).set_index("method").loc["Trajectron++, one path (median)"]
+    row = (
+        prediction_table(runs, MODELS)
+        .set_index("ADE / FDE [m]")
+        .loc["Trajectron++, one path (median)"]
+    )
     assert row["eth"] == "1.10 / 1.10"
     assert row["hotel"] == row["mean"] == "–"
 
@@ -42,10 +48,12 @@ def test_a_run_that_has_not_ended_is_no_part_of_a_mean(runs):
 def test_modes_of_one_set_are_not_averaged(runs):
     riders = runs[0]._replace(mode="bicycle", report=runs[0].report.parent / "riders")
     modes = {"bicycle": dict.fromkeys(PREDICTED, 3.0)}
-    write_json(riders.report / "metrics.json", {"modes": modes, "baselines": {}})
+    write_json(
+        riders.report / "metrics.json", {"modes": modes, "baselines": {}, "goal": "predicted"}
+    )
     row = (
         prediction_table([*runs, riders], MODELS)
-        .set_index("method")
+        .set_index("ADE / FDE [m]")
         .loc["Trajectron++, one path (median)"]
     )
     assert row["eth, pedestrian"] == row["hotel"] == "1.10 / 1.10"
@@ -55,8 +63,21 @@ def test_modes_of_one_set_are_not_averaged(runs):
 def test_a_path_that_an_earlier_version_did_not_score_is_told_by_a_dash(runs):
     for run in runs[2:]:
         own = {name: 1.0 for name in PREDICTED if not name.startswith("mean_")}
-        told = {"modes": {"pedestrian": own}, "baselines": {}}
+        told = {"modes": {"pedestrian": own}, "baselines": {}, "goal": "predicted"}
         write_json(run.report / "metrics.json", told)
-    row = prediction_table(runs, MODELS).set_index("method").loc["Trajectron++, one path (mean)"]
+    row = (
+        prediction_table(runs, MODELS)
+        .set_index("ADE / FDE [m]")
+        .loc["Trajectron++, one path (mean)"]
+    )
     assert row["eth"] == "1.10 / 1.10"
     assert row["hotel"] == row["mean"] == "–"
+
+
+def test_a_path_that_is_led_to_the_humans_goal_is_no_prediction(runs):
+    """Its FDE of 0.00 stood among those of predictions."""
+    for run in runs:
+        write_scores(run.report, 0.0, "future")
+    methods = list(prediction_table(runs, MODELS)["ADE / FDE [m]"])
+    assert "constant velocity" in methods
+    assert "constant acceleration" not in methods
