@@ -16,7 +16,7 @@ from diffstack_mmv.reporting import (
     write_comparison,
     write_json,
 )
-from diffstack_mmv.reporting.metrics_table import mode_table
+from diffstack_mmv.reporting.metrics_table import mode_table, situation_table
 from diffstack_mmv.reporting.paired_tests import require_score
 from tests.reporting.runs import SITUATIONS, samples, write_run
 
@@ -88,6 +88,18 @@ def test_a_score_that_judged_no_sample_is_null_and_a_dash(tmp_path):
     assert "| –" in (tmp_path / "metrics.md").read_text()
     table = compare(read_runs([run]), OPEN_LOOP).table
     assert set(table.loc[table["mode"] == "scooter", "ADE [m]"]) == {"–"}
+
+
+def test_situations_tell_the_errors_of_their_own_samples(tmp_path):
+    frame = samples()
+    metrics = read_json(write_run(tmp_path, "kbm", 0, frame=frame) / "metrics.json")
+    row = situation_table(metrics).set_index("mode").loc["scooter"]
+    moving = frame[(frame["mode"] == "scooter") & frame["moving"]]
+    assert (row["situation"], row["n"], row["stand still"]) == ("moving", len(moving), 2.0)
+    assert row["prediction (median)"] == pytest.approx(moving["median_ade"].mean())
+    assert row["plan"] == pytest.approx(moving["plan_ade"].mean())
+    del metrics["situations"]["scooter"]["moving"]["plan_ade"]  # as without plans
+    assert np.isnan(situation_table(metrics).set_index("mode").loc["scooter", "plan"])
 
 
 def test_markdown_says_where_the_goal_came_from_and_shows_the_baselines(tmp_path):
