@@ -84,6 +84,6 @@ def _trivial(told: Any, mode: str) -> dict[str, dict[str, float | None]]:
 def _cells(scores: Sequence[Mapping[str, float | None]]) -> dict[str, str]:
     """Cells by their headings; a score that could judge no sample is None, and no part of one."""
     return {
-        heading: mean_std([each[name] for each in scores if each.get(name) is not None])
+        heading: mean_std([value for each in scores if (value := each.get(name)) is not None])
         for name, heading in (DISTANCES | OTHERS).items()
     }
