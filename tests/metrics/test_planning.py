@@ -137,6 +137,22 @@ def test_what_was_not_recorded_of_a_human_counts_as_free():
     assert human_collided(*ridden(False), DISCS, agents).isnan().all()
 
 
+def test_several_plans_of_each_sample_are_judged_one_by_one():
+    generator = torch.Generator().manual_seed(0)
+    plans = 5 * torch.randn(4, 3, 31, 2, generator=generator)
+    plans[2, 1, 30], heading = torch.nan, torch.zeros(4, 3, 31)
+    heading[0, 2, 5] = torch.nan
+    each = Obstacles(*(field.expand(4, 3, *field.shape[1:]) for field in standing_agent(5.0, 0.0)))
+    together = hit_by(plans, torch.full((4, 3), 1.0), each, heading)
+    alone = hit_by(
+        plans.flatten(0, 1), torch.full((12,), 1.0),
+        Obstacles(*(field.flatten(0, 1) for field in each)), heading.flatten(0, 1),
+    )  # fmt: skip
+    assert torch.equal(together.flatten().nan_to_num(2), alone.nan_to_num(2))
+    assert together.isnan().nonzero().tolist() == [[0, 2], [2, 1]]
+    assert set(together.nan_to_num(2).flatten().tolist()) == {0, 1, 2}
+
+
 def test_no_agents_no_collision():
     none = Obstacles(
         torch.zeros(1, 0, 1, 31, 2),
