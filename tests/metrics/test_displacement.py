@@ -15,6 +15,7 @@ from diffstack_mmv.metrics import (
     mean_square_displacement,
     missed,
 )
+from diffstack_mmv.types import map_tensors
 from tests.metrics.samples import sample, tracks
 
 
@@ -86,6 +87,19 @@ def test_best_displacement_is_that_of_the_best_of_the_heaviest_components():
         heaviest = forecast.log_weight[row].argsort(descending=True)[:2]
         expected = min(mean(distances(forecast.mean[:, k], future, row)) for k in heaviest)
         assert float(found[row]) == pytest.approx(expected, rel=1e-5)
+
+
+def test_the_best_displacement_of_several_agents_of_each_sample_is_that_of_each():
+    forecast, future = sample()
+    apart = (
+        map_tensors(lambda field: field.unflatten(0, (3, 2)), each) for each in (forecast, future)
+    )
+    found, expected = (
+        best_average_displacement(*apart, 2),
+        best_average_displacement(forecast, future, 2),
+    )
+    assert found.shape == (3, 2)
+    assert torch.equal(found.flatten().nan_to_num(-1), expected.nan_to_num(-1))
 
 
 def test_best_of_one_component_is_the_most_likely_one():

@@ -40,7 +40,7 @@ def result(numbers):
         },
         "believed_model": {
             "class": "DiffGM3", "tyre_law": "PaperBrush(steepness=100)", "step_s": 0.25,
-            "substeps": 4, "footprint": {"shape": "disc", "radius_m": 0.3},
+            "substeps": 2, "footprint": {"shape": "disc", "radius_m": 0.3},
         },
     }  # fmt: skip
 
@@ -118,4 +118,4 @@ def test_files_hold_numbers_failures_and_sources(result, numbers, tmp_path):
     assert "test cases 0–1 in batches of up to 50, limit 10 s" in report
     assert "Footprint: disc (radius_m 0.3)" in report
     assert "kbm (DiffKBM, step 0.01 s)" in report
-    assert "gm3 (DiffGM3, PaperBrush(steepness=100), step 0.25 s, 4 substeps)" in report
+    assert "gm3 (DiffGM3, PaperBrush(steepness=100), step 0.25 s, 2 substeps)" in report
