@@ -53,3 +53,10 @@ def test_forecasts_and_seeds_have_draws_of_their_own():
     one, other = drawn_rows((2,), normal, seed=0, first=0)
     assert not torch.equal(one, other)
     assert not torch.equal(drawn_rows((2,), normal, seed=1, first=0)[0], one)
+
+
+def test_draws_leave_the_random_numbers_of_the_program_alone():
+    """A validation would change the training after it."""
+    before = torch.get_rng_state()
+    drawn_rows((2,), normal, seed=0, first=0)
+    assert torch.equal(torch.get_rng_state(), before)
