@@ -172,6 +172,7 @@ def identify_measured(config: DictConfig) -> None:
     from diffstack_mmv.data import read_rides
     from diffstack_mmv.identification import smoothed_beside_instruments
     from diffstack_mmv.identification.measured import (
+        measured_remarks,
         measured_result,
         measured_rides,
         measured_tables,
@@ -180,13 +181,16 @@ def identify_measured(config: DictConfig) -> None:
     from diffstack_mmv.vehicles import save_vehicle
 
     study, source, out = measured_study(config), instantiate(config.source), Path(config.out)
-    remarks = smoothed_beside_instruments(source.smoother())
-    for told in remarks:
+    smoothed = smoothed_beside_instruments(source.smoother())
+    for told in smoothed:
         logger.warning(told)
     rides = measured_rides(*read_rides(source, config.splits, study.spec.mode))
     result = study(rides, builders(config))
+    doubts = measured_remarks(result)
+    for told in doubts:
+        logger.warning(told)
     header = {**config.header, "date": date.today().isoformat()}
-    header |= {"controls": MEASURED, "remarks": remarks}
+    header |= {"controls": MEASURED, "remarks": smoothed + doubts}
     content = measured_result(study, result, instantiate(config.thresholds))
     write_tables(out, header | content, measured_tables(content))
     vehicle = result.calibrated(study.spec, f"identified from rides of {config.data.name}")

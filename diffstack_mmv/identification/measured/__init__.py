@@ -8,7 +8,11 @@ from diffstack_mmv.identification.measured.instruments import (
     InstrumentPriors,
     MeasurementNoise,
 )
-from diffstack_mmv.identification.measured.report import measured_result, measured_tables
+from diffstack_mmv.identification.measured.report import (
+    measured_remarks,
+    measured_result,
+    measured_tables,
+)
 from diffstack_mmv.identification.measured.rides import (
     MeasuredRide,
     RideWindows,
@@ -39,6 +43,7 @@ __all__ = [
     "cut_windows",
     "ego_estimator",
     "held_out_errors",
+    "measured_remarks",
     "measured_result",
     "measured_rides",
     "measured_tables",

@@ -10,6 +10,7 @@ from diffstack_mmv.identification.inference.identifier import Identification
 from diffstack_mmv.identification.inference.optima import posterior_shares
 from diffstack_mmv.identification.inference.sensitivity import Identifiability, describe_direction
 from diffstack_mmv.identification.shooting.linearisation import TrackSimulator
+from diffstack_mmv.identification.shooting.parameters import ParameterVector
 from diffstack_mmv.identification.shooting.settings import TrackingSettings
 
 NEAR_THE_LIMIT = 0.6  # of the adhesion limit: above, friction shapes the path
@@ -46,7 +47,7 @@ def all_remarks(
         *dependence_on_assumptions(simulator, influence),
         *misfit(found),
         *simulated_controls(simulator),
-        *estimates_at_the_edge(simulator, found),
+        *estimates_at_the_edge(simulator.parameters, found.after.theta),
     ]
 
 
@@ -207,10 +208,9 @@ def simulated_controls(simulator: TrackSimulator) -> list[str]:
     ]
 
 
-def estimates_at_the_edge(simulator: TrackSimulator, found: Identification) -> list[str]:
+def estimates_at_the_edge(parameters: ParameterVector, theta: Float[Tensor, " p"]) -> list[str]:
     """Estimates at the ends of their ranges."""
-    parameters, prior = simulator.parameters, simulator.parameters.prior
-    values = parameters.values(found.after.theta)
+    values, prior = parameters.values(theta), parameters.prior
     margin = AT_THE_EDGE * (prior.high - prior.low)
     inside = (values >= prior.low + margin) & (values <= prior.high - margin)
     return [

@@ -17,17 +17,20 @@ from diffstack_mmv.identification.measured import (
     InstrumentPriors,
     MeasuredFitter,
     MeasuredStudy,
+    MeasuredStudyResult,
     MeasurementNoise,
     RideSimulator,
     RideWindowSettings,
     cut_windows,
+    measured_remarks,
     measured_result,
     measured_tables,
     paired_by_recording,
 )
 from diffstack_mmv.identification.measured.elimination import RideEquations
 from diffstack_mmv.identification.measured.parts import FinishedParts
-from diffstack_mmv.identification.measured.stages import Judging
+from diffstack_mmv.identification.measured.stages import HeldOut, Judging
+from diffstack_mmv.identification.measured.study import ModelFit
 from diffstack_mmv.identification.measured.synthetic import record_rides
 from diffstack_mmv.identification.measured.validation import (
     RolloutErrors,
@@ -274,3 +277,19 @@ def test_a_measured_model_needs_a_steering_angle():
     study.require_models({name: partial(build, name) for name in ("gm3", "kbm", "unicycle")})
     with pytest.raises(ValueError, match="`dynamics` must be steered by an angle, but got Holonom"):
         study.require_models({"holonomic": partial(build, "holonomic")})
+
+
+@pytest.mark.parametrize("longer", [1.0, 1.6])
+def test_a_vehicle_beyond_the_range_of_its_file_is_remarked(recorded, longer):
+    spec, _, synthetic = recorded
+    rides = [ride._replace(steer=longer * ride.steer) for ride in synthetic.rides]
+    study = MeasuredStudy(spec, fitted=SETTINGS, noise_rounds=0)
+    windows, rollouts, fitted = study.whole(rides, "kbm", partial(DiffKBM, spec))
+    nothing = RolloutErrors.unknown(rollouts)
+    found = {"kbm": ModelFit(*fitted, HeldOut(nothing, nothing), HeldOut(nothing, nothing))}
+    noise, priors = fitted.simulator.noise, InstrumentPriors()
+    result = MeasuredStudyResult(windows, rollouts, found, {}, noise, priors, {})
+    remarks = measured_remarks(result)
+    told = ["wheelbase lies at the edge", "steer_gain lies"] if longer > 1 else []
+    assert len(remarks) == len(told)
+    assert all(part in remark for part, remark in zip(told, remarks, strict=True))
