@@ -158,7 +158,11 @@ def cut_windows(rides: Sequence[MeasuredRide], settings: RideWindowSettings) -> 
         for start in _starts(ride, settings)
     ]
     wanted = f"hold {settings.steps} steps over {settings.speed_min_mps:g} m/s somewhere"
-    require(len(parts) > 0, "rides", wanted, "none", "", "Cut shorter windows.")
+    remedy = (
+        "Cut shorter windows, or change `speed_min_mps`; where the speed is in m/s and positions "
+        f"still jump by more than {settings.jump_m:g} m beside it, raise `jump_m`."
+    )
+    require(len(parts) > 0, "rides", wanted, "none", "", remedy)
     columns = {
         name: torch.stack([getattr(part, name) for part in parts])
         for name in RideWindows._fields

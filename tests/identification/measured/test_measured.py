@@ -150,7 +150,7 @@ def test_windows_do_not_share_steps_and_skip_what_is_slow_or_bridged(recorded):
     bridged = ride._replace(known=torch.arange(111) < 50)
     for changed, most in ((slow, 4), (bridged, 2)):
         assert 0 < len(cut_windows([changed], SETTINGS).recording) <= most
-    with pytest.raises(ValueError, match="rides"):
+    with pytest.raises(ValueError, match="`rides` must .* change `speed_min_mps`; .*`jump_m`"):
         cut_windows([ride._replace(speed=0 * ride.speed)], SETTINGS)
 
 
