@@ -316,8 +316,7 @@ class EpisodeRecord(NamedTuple):
     pedestrians: Float[Tensor, "E T1 H 2"]  # m, NaN for those who are absent
     controls: Float[Tensor, "E T m"]
     reward: Float[Tensor, "E T"]  # zero after the end
-    # m, smallest one over the step that leads to this row; row 0: at the start; infinite where
-    # nobody is there
+    # m, smallest over the step that leads to this row (row 0: at the start), inf without anybody
     clearance: Float[Tensor, "E T1"]
     outcome: Int[Tensor, " E"]  # an Outcome
     steps: Int[Tensor, " E"]  # steps until the end

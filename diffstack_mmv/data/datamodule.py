@@ -60,8 +60,7 @@ class TrajdataModule(LightningDataModule):
             source: The data set.
             windows: What a sample is.
             loading: Batch size, workers and seed.
-            export: Where the samples of each split are exported once; None reads trajdata at each
-                access, which is slow but leaves nothing on disk.
+            export: Where samples are exported once; None reads trajdata anew, which is slow.
             splits: Names of the splits for training, validation and test.
             augmentation: Applied to training batches.
             balance: How often samples are drawn in training; None takes each once per epoch.

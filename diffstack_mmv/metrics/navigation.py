@@ -212,8 +212,7 @@ class EpisodeMinimumDistance(EpisodeMean):
     """Mean of the smallest clearance, an overlap counting as zero, over episodes with anybody."""
 
     def _values(self, record: EpisodeRecord) -> Tensor:
-        nearest = record.clearance.amin(dim=1).clamp(min=0)
-        return nearest.where(nearest.isfinite(), 0)
+        return record.clearance.amin(dim=1).clamp(min=0).nan_to_num(posinf=0)
 
     def _weights(self, record: EpisodeRecord) -> Tensor:
         return record.clearance.amin(dim=1).isfinite()

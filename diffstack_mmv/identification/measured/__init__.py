@@ -8,11 +8,8 @@ from diffstack_mmv.identification.measured.instruments import (
     InstrumentPriors,
     MeasurementNoise,
 )
-from diffstack_mmv.identification.measured.report import (
-    measured_remarks,
-    measured_result,
-    measured_tables,
-)
+from diffstack_mmv.identification.measured.remarks import measured_remarks
+from diffstack_mmv.identification.measured.report import measured_result, measured_tables
 from diffstack_mmv.identification.measured.rides import (
     MeasuredRide,
     RideWindows,

@@ -30,7 +30,7 @@ def volumes(equations: RideEquations, parts: Eliminated) -> Float[Tensor, " r"]:
 
 
 def evidence(equations: RideEquations, at: Linearisation) -> float:
-    """Logarithm of the evidence of the shared unknowns, with their prior, beyond a constant."""
+    """Logarithm of the evidence of shared unknowns of shape (s,), beyond a constant."""
     volume = volumes(equations, equations.eliminated(at)).sum()
     return float(equations.tilted(at.point) - at.cost.total - volume)
 
@@ -43,7 +43,7 @@ class TiltChange(NamedTuple):
 
 
 def tilt_change(equations: RideEquations, at: Linearisation) -> TiltChange:
-    """By how much the tilt of a fit differs from the slopes of the volume at its end."""
+    """By how much the tilt of a fit, of shape (r, s), differs from the slopes at its end."""
     change = volume_slopes(equations, at) - equations.tilt
     push = change.sum(0)
     return TiltChange(change, 0.5 * float(push @ _covariance(equations.eliminated(at)) @ push))

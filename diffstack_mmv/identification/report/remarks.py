@@ -209,7 +209,7 @@ def simulated_controls(simulator: TrackSimulator) -> list[str]:
 
 
 def estimates_at_the_edge(parameters: ParameterVector, theta: Float[Tensor, " p"]) -> list[str]:
-    """Estimates at the ends of their ranges."""
+    """Estimates of parameters, θ of shape (p,), at the ends of their ranges."""
     values, prior = parameters.values(theta), parameters.prior
     margin = AT_THE_EDGE * (prior.high - prior.low)
     inside = (values >= prior.low + margin) & (values <= prior.high - margin)
