@@ -53,8 +53,7 @@ class Decision(NamedTuple):
 class OnlineStack:
     """Forecasts all agents around an ego and plans for it, outside of any data set.
 
-    It keeps nothing of a decision for the next one. Threads may share it, or have one each: their
-    decisions wait for one another.
+    It keeps nothing of a decision for the next one. Decisions of several threads wait in a line.
 
     Args:
         checkpoint: A checkpoint of a training, or the name of a shipped one: pretrained.
