@@ -155,10 +155,12 @@ def positive_lift(Q: Float[Tensor, "m m N"], definite: float) -> Float[Tensor, "
 
     The modified Cholesky factorisation with pivoting: the largest diagonal entry of what is left
     comes first, so that a curvature in one direction does not spoil another. A pivot below
-    `definite` times the largest entry is replaced by its modulus, or by that limit: a step along
-    negative curvature is then as long as one along as much positive curvature. With the limit
-    alone it would be as long as the box or the line search allows, and hundreds of iterations were
-    seen. No pivot is so small that its column, divided by it, outweighs the largest entry.
+    `definite` times its diagonal entry (which counts as no less than `definite` times the largest
+    entry, since a control without curvature has no unit) is replaced by its modulus, or by that
+    limit: a step along negative curvature is then as long as one along as much positive curvature.
+    With the limit alone it would be as long as the box or the line search allows, and hundreds of
+    iterations were seen. No pivot is so small that its column, divided by it, outweighs the largest
+    entry.
 
     Source:
         Gill, Murray and Wright, Practical Optimization, 1981, section 4.4.2.2; differs in the
@@ -166,28 +168,29 @@ def positive_lift(Q: Float[Tensor, "m m N"], definite: float) -> Float[Tensor, "
     """
     scale = largest(Q)
     tiny = torch.finfo(Q.dtype).tiny
-    floor = definite * scale + tiny
     m = Q.shape[0]
+    own = Q.diagonal(dim1=0, dim2=1).movedim(-1, 0).abs()
+    floor = definite * torch.maximum(own, definite * scale) + tiny
     if m == 1:
         return _upright(Q[0], floor) - Q[0]
     if m > 2:
         return _lift_by_factors(Q, floor, scale + tiny)
+    is_first, square = Q[0, 0] >= Q[1, 1], Q[0, 1].square()
     pivot, other = torch.maximum(Q[0, 0], Q[1, 1]), torch.minimum(Q[0, 0], Q[1, 1])
-    square = Q[0, 1].square()
-    raised = torch.maximum(_upright(pivot, floor), square / (scale + tiny))
+    of_pivot, of_other = torch.where(is_first, floor, floor.flip(0))
+    raised = torch.maximum(_upright(pivot, of_pivot), square / (scale + tiny))
     rest = other - square / raised
-    lifts = raised - pivot, _upright(rest, floor) - rest
-    is_first = Q[0, 0] >= Q[1, 1]
+    lifts = raised - pivot, _upright(rest, of_other) - rest
     return torch.stack([torch.where(is_first, *lifts), torch.where(is_first, lifts[1], lifts[0])])
 
 
-def _upright(pivot: Float[Tensor, "*k N"], floor: Float[Tensor, " N"]) -> Float[Tensor, "*k N"]:
+def _upright(pivot: Float[Tensor, "*k N"], floor: Float[Tensor, "*k N"]) -> Float[Tensor, "*k N"]:
     """The pivot if it is at least `floor`, else its modulus, or `floor` where that is larger."""
     return torch.where(pivot < floor, torch.maximum(pivot.abs(), floor), pivot)
 
 
 def _lift_by_factors(
-    Q: Float[Tensor, "m m N"], floor: Float[Tensor, " N"], scale: Float[Tensor, " N"]
+    Q: Float[Tensor, "m m N"], floor: Float[Tensor, "m N"], scale: Float[Tensor, " N"]
 ) -> Float[Tensor, "m N"]:
     """The lift for any size, column by column; no device has to wait for it, as for eigenvalues."""
     m = Q.shape[0]
@@ -201,7 +204,8 @@ def _lift_by_factors(
         pivot = torch.where(chosen, column, zero).sum(0)
         left = left & ~chosen
         column = torch.where(left, column, zero)
-        raised = torch.maximum(_upright(pivot, floor), column.square().amax(0) / scale)
+        least = torch.where(chosen, floor, zero).sum(0)
+        raised = torch.maximum(_upright(pivot, least), column.square().amax(0) / scale)
         lift = lift + torch.where(chosen, raised - pivot, zero)
         Q = Q - column * column.unsqueeze(1) / raised
     return lift

@@ -27,7 +27,7 @@ from diffstack_mmv.control.box_qp import (
 
 FLAT = 16.0  # multiple of the rounding of a curvature below which a control is taken to be flat
 ARRIVED = 0.99  # share of the farthest control that counts as it
-DEFINITE = 1e-6  # smallest pivot of Q_uu relative to its largest entry, before it is lifted
+DEFINITE = 1e-6  # smallest pivot of Q_uu relative to its own entry, before it is lifted
 
 
 class LinearQuadratic(NamedTuple):

@@ -108,6 +108,14 @@ def test_negative_curvature_is_lifted_to_its_modulus(m):
     torch.testing.assert_close(diagonal + positive_lift(Q, DEFINITE), diagonal.abs())
 
 
+@pytest.mark.parametrize("m", [2, 3, 5])
+def test_a_definite_matrix_is_not_lifted_in_any_units(m):
+    basis = torch.randn(m, m, 50)
+    Q = torch.einsum("ikN,jkN->ijN", basis, basis) + torch.eye(m).unsqueeze(-1)
+    unit = torch.logspace(0, -5, m).unsqueeze(-1)
+    assert (positive_lift(Q * unit * unit.unsqueeze(1), DEFINITE) == 0).all()
+
+
 @pytest.mark.parametrize("m", [2, 4])
 def test_lift_of_a_matrix_that_is_not_finite_stays_with_it(m):
     Q = torch.randn(m, m, 3)

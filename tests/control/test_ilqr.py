@@ -143,6 +143,25 @@ def test_scale_of_the_cost_does_not_change_the_plan(scale):
     torch.testing.assert_close(scaled.controls, plain.controls, rtol=0, atol=2e-2)
 
 
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("units", [(1e-4, 1.0), (1.0, 1e-4)])
+def test_units_of_the_controls_do_not_change_the_plan(units, compiled):
+    """As a force in newtons beside an angle in radians, whose curvatures are 1e-8 and 1."""
+    hidden, bounds, controls = driving()
+    step, cost = rate_model(hidden["wheelbase"]), goal_cost(hidden["goal"], hidden["weight"])
+    unit = torch.tensor(units)
+    solution = ILQR(compile=compiled)(
+        Batched(lambda x, u: step(x, unit * u)),
+        Batched(lambda x, u, goal: goal_cost(goal, hidden["weight"])(x, unit * u), hidden["goal"]),
+        Bounds(bounds.lower / unit, bounds.upper / unit),
+        hidden["state"],
+        controls,
+    )
+    plain = SOLVER(step, cost, bounds, hidden["state"], controls)
+    assert solution.converged.all()
+    torch.testing.assert_close(unit * solution.controls, plain.controls, rtol=0, atol=2e-2)
+
+
 @pytest.mark.parametrize("controls_per_step", [1, 2, 3])
 def test_any_number_of_controls(controls_per_step):
     m = controls_per_step

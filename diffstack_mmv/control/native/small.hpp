@@ -75,15 +75,17 @@ inline Real upright(Real pivot, Real floor) { return pivot < floor ? op_max(std:
 // what to add to the diagonal of a symmetric Q to make it positive definite, see `positive_lift` of box_qp.py
 template <int M>
 inline void positive_lift(const Real* Q, Real* lift) {
-  const Real tiny = std::numeric_limits<Real>::min(), scale = largest<M>(Q), floor = DEFINITE * scale + tiny;
+  const Real tiny = std::numeric_limits<Real>::min(), scale = largest<M>(Q);
+  Real floor[M];
+  for (int i = 0; i < M; ++i) floor[i] = DEFINITE * op_max(std::fabs(Q[i * M + i]), DEFINITE * scale) + tiny;
   if constexpr (M == 1) {
-    lift[0] = upright(Q[0], floor) - Q[0];
+    lift[0] = upright(Q[0], floor[0]) - Q[0];
   } else if constexpr (M == 2) {
-    const Real pivot = op_max(Q[0], Q[3]), other = op_min(Q[0], Q[3]), square = Q[1] * Q[1];
-    const Real raised = op_max(upright(pivot, floor), square / (scale + tiny)), rest = other - square / raised;
-    const Real first = raised - pivot, second = upright(rest, floor) - rest;
-    lift[0] = Q[0] >= Q[3] ? first : second;
-    lift[1] = Q[0] >= Q[3] ? second : first;
+    const int first = Q[0] >= Q[3] ? 0 : 1, second = 1 - first;
+    const Real pivot = Q[3 * first], other = Q[3 * second], square = Q[1] * Q[1];
+    const Real raised = op_max(upright(pivot, floor[first]), square / (scale + tiny)), rest = other - square / raised;
+    lift[first] = raised - pivot;
+    lift[second] = upright(rest, floor[second]) - rest;
   } else {
     Real S[M * M];
     bool left[M];
@@ -98,7 +100,7 @@ inline void positive_lift(const Real* Q, Real* lift) {
       Real beside = 0;
       for (int i = 0; i < M; ++i)
         if (left[i]) beside = op_max(beside, S[i * M + j] * S[i * M + j]);
-      const Real pivot = S[j * M + j], raised = op_max(upright(pivot, floor), beside / (scale + tiny));
+      const Real pivot = S[j * M + j], raised = op_max(upright(pivot, floor[j]), beside / (scale + tiny));
       lift[j] = raised - pivot;
       for (int i = 0; i < M; ++i)
         for (int k = 0; k < M; ++k)
