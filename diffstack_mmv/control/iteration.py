@@ -79,7 +79,7 @@ def attempt(
     lower = trial.cost < iterate.cost
     flat = (policy.decrease <= enough) & (iterate.damping < 1)
     flat = flat | (~lower & (policy.decrease <= NOISE * noise))
-    settled = flat & (policy.slope <= (enough * magnitude).sqrt())
+    settled = flat & (policy.slope <= enough.sqrt() * magnitude.sqrt())
     # the cost is flat at its minimum: a last Newton step is good to more digits than it shows
     accepted = is_open & (lower | (flat & (trial.cost <= iterate.cost + noise)))
     damping = next_damping(iterate.damping, accepted, trial.size, settings.regularisation)

@@ -144,6 +144,27 @@ def test_scale_of_the_cost_does_not_change_the_plan(scale):
 
 
 @pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("is_linear", [False, True])
+def test_a_cost_whose_square_is_no_number_of_single_precision_converges(is_linear, compiled):
+    """As of a vehicle that has all but arrived."""
+
+    def bent(state, control):
+        return double_integrator(state, control.sin())
+
+    step, solver = double_integrator if is_linear else bent, ILQR(compile=compiled)
+    for scale in (1e-18, 1e-21):
+        solution = solver(
+            step,
+            lambda x, u, s=scale: s * quadratic(x, u),
+            box(1.0),
+            torch.zeros(2),
+            torch.zeros(8, 1),
+        )
+        assert solution.converged
+        assert solution.iterations < 15
+
+
+@pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize("units", [(1e-4, 1.0), (1.0, 1e-4)])
 def test_units_of_the_controls_do_not_change_the_plan(units, compiled):
     """As a force in newtons beside an angle in radians, whose curvatures are 1e-8 and 1."""

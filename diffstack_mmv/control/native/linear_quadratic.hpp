@@ -117,7 +117,7 @@ struct LinearQuadratic : Interior<P> {
     roll(lane, own_x, own_u, to.cost[i], magnitude_);
     const Real much = NOISE * std::numeric_limits<Real>::epsilon() * (magnitude_ + change);
     const Real enough = op_max(settings.tolerance * magnitude_, much);
-    const bool settled = promised <= enough && slope <= std::sqrt(enough * magnitude_) && finite(to.cost[i]);
+    const bool settled = promised <= enough && slope <= std::sqrt(enough) * std::sqrt(magnitude_) && finite(to.cost[i]);
     to.residual[i] = residual;
     to.iterations[i] = used;
     if (settled) to.status[i] = CONVERGED;

@@ -290,7 +290,7 @@ struct Solver {
     const bool lower = best.cost < cost;
     bool flat = decrease <= enough && damping < 1;
     flat = flat || (!lower && decrease <= NOISE * much);
-    const bool settled = flat && slope <= std::sqrt(enough * magnitude);
+    const bool settled = flat && slope <= std::sqrt(enough) * std::sqrt(magnitude);
     const bool accepted = lower || (flat && best.cost <= cost + much);
     if (accepted) {
       damping = best.size >= Real(0.5) ? damping * DECAY : damping;
