@@ -19,7 +19,7 @@ METHODS: Mapping[str, tuple[str, str]] = {
     "best of 20 spread paths": ("best_of_20_spread_ade", "best_of_20_spread_fde"),
 }
 """Rows of each model: what they are called, and the scores in them."""
-HEADING, MEAN = "ADE / FDE [m]", "mean"
+HEADING, MEAN = "method, ADE / FDE [m]", "mean"
 
 
 def prediction_table(runs: Sequence[Run], models: Mapping[str, str]) -> pd.DataFrame:

@@ -28,7 +28,7 @@ def runs(tmp_path):
 
 
 def test_seeds_and_data_sets_are_averaged(runs):
-    table = prediction_table(runs, MODELS).set_index("ADE / FDE [m]")
+    table = prediction_table(runs, MODELS).set_index("method, ADE / FDE [m]")
     assert list(table.columns) == ["eth", "hotel", "mean"]
     assert set(table.loc["Trajectron++, best of 20 paths"]) == {"1.10 / 1.10"}
     assert table.loc["constant velocity", "mean"] == "2.00 / 4.00"
@@ -38,7 +38,7 @@ def test_a_run_that_has_not_ended_is_no_part_of_a_mean(runs):
     (runs[3].report / "metrics.json").unlink()
     row = (
         prediction_table(runs, MODELS)
-        .set_index("ADE / FDE [m]")
+        .set_index("method, ADE / FDE [m]")
         .loc["Trajectron++, one path (median)"]
     )
     assert row["eth"] == "1.10 / 1.10"
@@ -53,7 +53,7 @@ def test_modes_of_one_set_are_not_averaged(runs):
     )
     row = (
         prediction_table([*runs, riders], MODELS)
-        .set_index("ADE / FDE [m]")
+        .set_index("method, ADE / FDE [m]")
         .loc["Trajectron++, one path (median)"]
     )
     assert row["eth, pedestrian"] == row["hotel"] == "1.10 / 1.10"
@@ -67,7 +67,7 @@ def test_a_path_that_an_earlier_version_did_not_score_is_told_by_a_dash(runs):
         write_json(run.report / "metrics.json", told)
     row = (
         prediction_table(runs, MODELS)
-        .set_index("ADE / FDE [m]")
+        .set_index("method, ADE / FDE [m]")
         .loc["Trajectron++, one path (mean)"]
     )
     assert row["eth"] == "1.10 / 1.10"
@@ -78,6 +78,6 @@ def test_a_path_that_is_led_to_the_humans_goal_is_no_prediction(runs):
     """Its FDE of 0.00 stood among those of predictions."""
     for run in runs:
         write_scores(run.report, 0.0, "future")
-    methods = list(prediction_table(runs, MODELS)["ADE / FDE [m]"])
+    methods = list(prediction_table(runs, MODELS)["method, ADE / FDE [m]"])
     assert "constant velocity" in methods
     assert "constant acceleration" not in methods
