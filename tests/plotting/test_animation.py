@@ -75,13 +75,13 @@ def test_controls_carry_names_and_units_over_the_time_of_the_clearance(episode):
 
 
 def test_an_episode_becomes_an_mp4(episode, tmp_path):
-    pytest.importorskip("imageio_ffmpeg")
+    pytest.importorskip("imageio_ffmpeg", reason="needs the extra `video`")
     save_animation(episode(), tmp_path / "case.mp4")
     assert (tmp_path / "case.mp4").read_bytes()[4:8] == b"ftyp"
 
 
 def test_an_mp4_is_white_to_its_edges(tmp_path):
-    pytest.importorskip("imageio_ffmpeg")
+    pytest.importorskip("imageio_ffmpeg", reason="needs the extra `video`")
     from imageio_ffmpeg import read_frames
 
     path = tmp_path / "odd.mp4"

@@ -17,7 +17,7 @@ from diffstack_mmv.simulation import (
     vehicle_robot,
 )
 
-pytest.importorskip("stable_baselines3")
+pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
 
 
 @pytest.fixture

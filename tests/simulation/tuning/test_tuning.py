@@ -63,7 +63,7 @@ def test_one_round_with_a_steep_loss_does_not_decide_the_next(cost):
 
 
 def test_optuna_searches_within_its_factor(cost):
-    pytest.importorskip("optuna")
+    pytest.importorskip("optuna", reason="needs the extra `tune`")
     beyond = OptunaTuner(rounds=12, factor=2.0)(cost, lambda: -cost.log_weight[0])
     tried = [float(cost.log_weight[0].detach().exp()) for _ in beyond]
     assert tried[0] == 1.0
@@ -74,14 +74,14 @@ def test_optuna_searches_within_its_factor(cost):
 @pytest.mark.parametrize("tuner", [GradientTuner(rounds=1), OptunaTuner(rounds=1)], ids=repr)
 def test_one_round_tells_the_loss_of_the_weights_given(cost, tuner):
     if isinstance(tuner, OptunaTuner):
-        pytest.importorskip("optuna")
+        pytest.importorskip("optuna", reason="needs the extra `tune`")
     [only] = tuner(cost, wanted(cost))
     assert only.loss == 1.0
     assert only.weights == pytest.approx({"position": 1.0, "effort": 1.0})
 
 
 def test_optuna_begins_with_the_weights_given(cost):
-    pytest.importorskip("optuna")
+    pytest.importorskip("optuna", reason="needs the extra `tune`")
     rounds = list(OptunaTuner(rounds=12)(cost, wanted(cost)))
     assert rounds[0].weights == pytest.approx({"position": 1.0, "effort": 1.0})
     assert best(rounds).loss < rounds[0].loss
