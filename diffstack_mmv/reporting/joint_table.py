@@ -86,10 +86,17 @@ def write_joint_table(
     table, pairs = joint_table(rows, scores), joint_pairs(rows, scores)
     parts = [f"# {title}", markdown_table(table)]
     if len(pairs):
-        parts.append(f"Paired, row minus the other:\n\n{markdown_table(pairs)}")
+        parts.append(f"Paired, row minus the other ({_tests(pairs)}):\n\n{markdown_table(pairs)}")
     parts.append("\n".join(f"- {remark}" for remark in remarks))
     write_table(folder, "table", table, "\n\n".join(part for part in parts if part) + "\n")
     write_text(folder / "failures.csv", str(joint_failures(rows).to_csv(index=False)))
+
+
+def _tests(pairs: pd.DataFrame) -> str:
+    """How many tests there are, and from where on one of them would not be chance."""
+    told = pairs.filter(regex=r"^p \(") != NONE
+    count = max(int(told.to_numpy().sum()), 1)
+    return f"{count} p values, not corrected; by Bonferroni 0.05 is {0.05 / count:.2g}"
 
 
 def _cases(row: DrivenRow) -> list[dict[str, Any]]:

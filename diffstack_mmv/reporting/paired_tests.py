@@ -41,7 +41,8 @@ def paired_tests(folders: Sequence[Path], score: ScoreHeading) -> pd.DataFrame:
     """Wilcoxon signed-rank test between the dynamics, paired by recording.
 
     Windows of one recording resemble each other, so the score is averaged over those that both
-    judged, and over seeds, before the test. The table says which of both has the better mean.
+    judged, and over seeds, before the test. The table says which of both has the better mean, and
+    beside each p value the one corrected for the number of its tests, see `holm`.
     """
     samples = []
     for folder in folders:
@@ -66,7 +67,8 @@ def paired_tests(folders: Sequence[Path], score: ScoreHeading) -> pd.DataFrame:
             row |= {"recordings": len(difference), f"mean Δ {score.heading}": mean}
             row["better"] = _better(first, second, mean, score.lower_is_better)
             rows.append(row | {"p": signed_rank(difference)})
-    return pd.DataFrame(rows)
+    table = pd.DataFrame(rows)
+    return table if table.empty else table.assign(**{"p (Holm)": holm(table["p"].to_numpy())})
 
 
 def _better(first: str, second: str, difference: float, lower_is_better: bool) -> str:
@@ -86,3 +88,19 @@ def signed_rank(difference: Float[np.ndarray, " n"]) -> float:
         return float("nan")
     result: Any = wilcoxon(told)
     return float(result.pvalue)
+
+
+def holm(p: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """P values corrected for their number, those of n tests that belong together.
+
+    Below a level where chance alone would bring any of the n there at most as often as that. NaN
+    where there was no test, which does not count.
+
+    Source:
+        Holm, A simple sequentially rejective multiple test procedure (1979).
+    """
+    order = np.argsort(p, kind="stable")  # NaN comes last
+    least_first = p[order] * (np.count_nonzero(~np.isnan(p)) - np.arange(len(p)))
+    corrected = np.empty_like(p)
+    corrected[order] = np.minimum(np.maximum.accumulate(least_first), 1)
+    return corrected

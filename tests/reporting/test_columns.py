@@ -17,7 +17,7 @@ from tests.reporting.runs import write_run
 HEADINGS = {score.heading for score in OPEN_LOOP.values()}
 ABOUT_A_MODE = {"n", "n_missing", "vehicle"}
 ABOUT_A_RUN = {"data", "split", "goal", "mode", "vehicle", "dynamics", "seeds"}
-ABOUT_A_ROW = ABOUT_A_RUN | {"n", "pair", "recordings", "p"}
+ABOUT_A_ROW = ABOUT_A_RUN | {"n", "pair", "recordings", "p", "p (Holm)"}
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diffstack_mmv.reporting.paired_tests import signed_rank
+from diffstack_mmv.reporting.paired_tests import holm, signed_rank
 
 DIFFERENCES = st.lists(st.floats(0.01, 5), min_size=6, max_size=20, unique=True)
 
@@ -40,3 +40,23 @@ def test_differences_that_rounding_sets_apart_are_ties(tenths):
     exact = np.array(tenths) / 10
     shifted = (exact + 0.7) - 0.7
     assert np.array_equal(signed_rank(shifted), signed_rank(exact), equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("told", "corrected"),
+    [
+        ([0.01, 0.04, 0.03, 0.005], [0.03, 0.06, 0.06, 0.02]),
+        ([0.03, np.nan, 0.02], [0.04, np.nan, 0.04]),  # what was not tested does not count
+        ([0.6, 0.7, 0.9], [1.0, 1.0, 1.0]),
+        ([0.02], [0.02]),
+        ([], []),
+    ],
+)
+def test_p_values_are_corrected_for_their_number(told, corrected):
+    assert np.allclose(holm(np.array(told)), corrected, equal_nan=True)
+
+
+def test_of_many_tests_of_nothing_one_in_twenty_families_finds_something():
+    families = np.random.default_rng(0).uniform(size=(2000, 10))
+    found = np.mean([holm(family).min() < 0.05 for family in families])
+    assert abs(found - 0.05) < 3 * np.sqrt(0.05 * 0.95 / 2000)

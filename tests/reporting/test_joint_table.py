@@ -72,6 +72,7 @@ def test_the_files_hold_table_pairs_and_failures(rows, tmp_path):
     assert "# A title" in text
     assert "- remark" in text
     assert "0 / 1" in text.split("Paired")[1]
+    assert "(2 p values, not corrected; by Bonferroni 0.05 is 0.025)" in text
     assert (tmp_path / "out" / "table.tex").is_file()
     assert len((tmp_path / "out" / "table.csv").read_text().splitlines()) == 4
     failures = (tmp_path / "out" / "failures.csv").read_text().splitlines()

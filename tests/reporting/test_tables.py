@@ -240,7 +240,7 @@ def test_a_path_that_is_given_the_goal_is_no_prediction(tmp_path):
 
 def test_pairs_too_few_to_test_have_a_dash_for_p(runs, tmp_path):
     comparison = compare(read_runs(runs), OPEN_LOOP)
-    tests = paired_tests(runs, OPEN_LOOP["plan_ade"]).assign(p=[0.01, np.nan])
+    tests = paired_tests(runs, OPEN_LOOP["plan_ade"]).assign(**{"p (Holm)": [0.01, np.nan]})
     write_comparison(tmp_path, comparison, tests)
     lines = (tmp_path / "table.md").read_text().splitlines()
     assert lines[-1].replace(" ", "").endswith("|–|")
