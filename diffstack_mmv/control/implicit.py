@@ -27,6 +27,7 @@ from diffstack_mmv.control.expansion import Model, expand, pad_controls, step_al
 from diffstack_mmv.control.once import once
 from diffstack_mmv.control.optimizer import Cost, Dynamics
 from diffstack_mmv.control.riccati import LinearQuadratic, Stationary, solve_free, stage_shapes
+from diffstack_mmv.control.selection import lenders, lent
 
 Solve = Callable[[LinearQuadratic, Tensor, int], Stationary]
 
@@ -131,12 +132,16 @@ def attach(
     like = state.detach()[..., 0]
     valid = from_batch_last(point.valid, like)
     state = torch.where(valid.unsqueeze(-1), state, from_batch_last(point.x[0], like))
-    x, u = from_batch_last(point.x[1:], like), from_batch_last(point.u, like)
+    x, u, start = from_batch_last(point.x[1:], like), from_batch_last(point.u, like), state
+    index = lenders(valid)
+    if index is not None:
+        x, u, start = x[index], u[index], state[index]
+        dynamics, cost = lent(dynamics, index), lent(cost, index)
     costates = torch.where(point.valid, point.model.costates, torch.zeros_like(point.x[1:]))
     multipliers = from_batch_last(costates, like)
 
     def lagrangian(x: Tensor, u: Tensor) -> tuple[Tensor, tuple[Tensor, Tensor]]:
-        states = joined(state, x)
+        states = joined(start, x)
         following = step_all(dynamics, states[..., :-1, :], u)
         each = cost(states, pad_controls(u)).sum(-1) + (multipliers * (following - x)).sum((-2, -1))
         return each.sum(), (each, following)

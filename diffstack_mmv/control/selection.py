@@ -6,7 +6,7 @@ from collections.abc import Callable, Hashable, Sequence
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
 import torch
-from jaxtyping import Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from diffstack_mmv.control.iteration import OPEN, Iterate
@@ -102,6 +102,27 @@ def constant(function: Any) -> Any:
     if not isinstance(function, Batched):
         return function
     return Batched(function.function, *(each.detach().contiguous() for each in function.tensors))
+
+
+def lenders(valid: Bool[Tensor, "*b"]) -> Int[Tensor, " b"] | None:
+    """Which problem each is differentiated as: itself, or the first valid one in place of it.
+
+    The tensors of a failed problem may be NaN, and zero times a derivative that is NaN would reach
+    what it shares with others, such as the weights of a cost.
+
+    Returns:
+        Indices into a batch of one leading dimension; None if there is nobody to stand in, or no
+        need to.
+    """
+    if valid.dim() != 1 or not len(valid) or (on_host(valid) and bool(valid.all())):
+        return None
+    own = torch.arange(len(valid), device=valid.device)
+    return torch.where(valid, own, valid.long().argmax())
+
+
+def lent(function: Any, index: Int[Tensor, " b"]) -> Any:
+    """A callable for the problems `index`; one that cannot be narrowed as it is."""
+    return function.select(index) if isinstance(function, Selectable) else function
 
 
 class Workload(NamedTuple):

@@ -92,6 +92,36 @@ def test_broken_problems_that_are_left_behind_early_leave_their_mates_alone(solv
         assert found[-7:].equal(expected[-7:])
 
 
+@pytest.mark.parametrize("broken", [(BAD,), (0, BAD, 5)])
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        *((place, value) for place in ("state", "goal") for value in VALUES),
+        ("wheelbase", VALUES[0]),
+    ],
+)
+def test_broken_problems_leave_the_gradient_of_what_all_share_to_their_mates(place, value, broken):
+    hidden = driving()[0]
+    hidden["wheelbase"] = hidden["wheelbase"].expand(6).clone()
+    hidden[place][list(broken)] = value
+
+    def slope(chosen):
+        weight = hidden["weight"].clone().requires_grad_()
+        state, goal, wheelbase = (hidden[name][chosen] for name in ("state", "goal", "wheelbase"))
+        solution = ILQR()(
+            Batched(lambda x, u, wheelbase: rate_model(wheelbase)(x, u), wheelbase),
+            Batched(lambda x, u, goal: goal_cost(goal, weight)(x, u), goal),
+            driving()[1], state, torch.zeros(len(chosen), 12, 2),
+        )  # fmt: skip
+        slope = torch.autograd.grad(solution.controls.square().sum(), weight)[0]
+        return slope, solution.converged.tolist()
+
+    whole, kept = list(range(6)), [at for at in range(6) if at not in broken]
+    (together, converged), (alone, _) = slope(whole), slope(kept)
+    assert converged == [at in kept for at in whole]
+    torch.testing.assert_close(together, alone)
+
+
 @pytest.mark.gpu
 @pytest.mark.parametrize("value", VALUES)
 @pytest.mark.parametrize("place", PLACES)

@@ -19,6 +19,7 @@ from diffstack_mmv.control.constrained.local import Local, Problem, adjoint_stat
 from diffstack_mmv.control.expansion import pad_controls, step_all
 from diffstack_mmv.control.implicit import Attached, joined
 from diffstack_mmv.control.once import Once
+from diffstack_mmv.control.selection import lenders
 
 WEAK = 1e-6  # of the root of the cost that letting go of a row would save; below, it is inactive
 
@@ -138,6 +139,9 @@ def attach(problem: Problem, point: KktPoint) -> AttachedRows | None:
     whole, u, valid = (problem.unflat(part) for part in (point.x, point.u, point.valid))
     state, x = torch.where(valid.unsqueeze(-1), problem.state, whole[..., 0, :]), whole[..., 1:, :]
     problem = problem._replace(state=state)
+    index = lenders(valid) if problem.selectable else None
+    if index is not None:
+        x, u, problem = x[index], u[index], problem.select(index)
     terms = _Terms(problem, point)
     (of_x, of_u), (each, following, rows) = torch.func.grad(terms.lagrangian, (0, 1), has_aux=True)(
         x, u

@@ -3,9 +3,19 @@
 import pytest
 import torch
 
-from diffstack_mmv.control import ILQR, Bounds
+from diffstack_mmv.control import ILQR, Batched, Bounds
 from diffstack_mmv.control.constrained import ConstrainedILQR, Equality, Inequality, Slack
-from tests.control.constrained.problems import Drive, braking, drives, solve
+from diffstack_mmv.types import map_tensors
+from tests.control.constrained.problems import (
+    Drive,
+    box,
+    braking,
+    constraints,
+    drives,
+    price,
+    solve,
+)
+from tests.control.constrained.problems import step as bicycle
 
 pytestmark = pytest.mark.usefixtures("double")
 EXACT = ConstrainedILQR(ILQR(tolerance=1e-16))
@@ -147,6 +157,25 @@ def test_problem_that_did_not_converge_has_a_gradient_of_zero():
     assert (radius.grad[1] == 0).all()
     assert (state.grad[1] == 0).all()
     assert (state.grad[0] != 0).any()
+
+
+def test_problem_that_did_not_converge_leaves_the_gradient_of_what_all_share_to_its_mates():
+    drive = drives(3)
+    drive.goal[1] = torch.nan
+
+    def slope(drive):
+        shared = torch.tensor(1.0, requires_grad=True)
+
+        def cost(states, controls, *own):
+            return shared * price(states, controls, *own) + controls.square().sum(-1)
+
+        start = torch.zeros(len(drive.goal), 10, 2)
+        problem = Batched(bicycle, drive.wheelbase), Batched(cost, drive.goal, drive.weight)
+        solution = EXACT(*problem, constraints(drive), box(), drive.state, start)
+        return torch.autograd.grad(solution.controls.square().sum(), shared)[0]
+
+    mates = map_tensors(lambda part: part[[0, 2]], drive)
+    torch.testing.assert_close(slope(drive), slope(mates))
 
 
 def test_infeasible_problem_has_a_gradient_of_zero():
