@@ -20,13 +20,13 @@ def solve_box_qp(
     lower: Float[Tensor, "m N"],
     upper: Float[Tensor, "m N"],
 ) -> tuple[Float[Tensor, "m N"], Bool[Tensor, "m N"]]:
-    """Minimise ½ k'Hk + g'k in lower ≤ k ≤ upper, for positive definite H.
+    """Minimise ½ k'Hk + g'k in lower ≤ k ≤ upper, for H positive definite where there is a choice.
 
     One and two variables: the minimum over all active sets in closed form. More: block principal
     pivoting, which ends at the exact active set after a few linear systems.
 
     Args:
-        H: Positive definite matrices.
+        H: Matrices, positive definite in the variables whose bounds differ.
         g: Linear terms.
         lower: Lower bounds, -∞ where there is none.
         upper: Upper bounds, not below the lower ones.
@@ -222,11 +222,12 @@ class _ActiveSet(NamedTuple):
 def _principal_pivoting(H: Tensor, g: Tensor, lower: Tensor, upper: Tensor) -> Tensor:
     """Guess the active set, and exchange the entries that the optimality conditions contradict.
 
+    What has no choice is never free: H need not be definite in it, and other guesses would mislead.
     All at once while their number falls, and once more; then the last one only, until it does.
     Exchanging the last one ends after finitely many steps for every positive definite H (Murty's
     rule). Unlike the steps of a projected method, none can be too short to be taken.
     """
-    side = torch.zeros_like(g, dtype=torch.int8)
+    side = -(lower >= upper).to(torch.int8)
     fewest = torch.full_like(side[0], len(g) + 1)
     guess = _ActiveSet(side, fewest, torch.ones_like(fewest, dtype=torch.bool))
     # a loop that asks for its end can be neither compiled nor queued on another device
@@ -251,7 +252,7 @@ def _implied(
     k = torch.where(free, inner, fixed)
     slope = apply(H, k) + g
     outside = torch.where(k < lower, none - 1, torch.where(k > upper, none + 1, none))
-    pulled = (side * slope) > 0  # off its bound
+    pulled = (side * slope > 0) & (lower < upper)  # off its bound, if there is another place
     return k, torch.where(free, outside, torch.where(pulled, none, side))
 
 

@@ -70,6 +70,20 @@ def test_interval_of_zero_width_holds_its_variable():
     assert not free[2].any()
 
 
+@pytest.mark.parametrize("m", [2, 3, 5])
+def test_what_has_no_choice_need_not_be_definite(m):
+    """As controls that their bounds hold: their curvature is not lifted."""
+    H, g, lower, upper = random_problems(m + 1, 1)
+    lower[-1] = upper[-1]
+    H[-1, -1] = 1e-3
+    H[-1, :-1] = H[:-1, -1] = 100 * torch.randn(m, H.shape[-1])
+    k, free = solve_box_qp(H, g, lower, upper)
+    pull = g[:-1] + H[:-1, -1] * upper[-1]
+    expected = minimum_over_active_sets(H[:-1, :-1], pull, lower[:-1], upper[:-1])
+    torch.testing.assert_close(k[:-1], expected, rtol=0, atol=1e-9)
+    assert k[-1].equal(upper[-1])
+
+
 def test_a_problem_that_is_not_finite_leaves_the_others_alone():
     H, g, lower, upper = random_problems(3, 1)
     expected = solve_box_qp(H, g, lower, upper)[0]

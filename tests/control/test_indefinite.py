@@ -129,3 +129,29 @@ def test_the_library_lifts_a_large_model_by_the_same_share(limit):
 def test_the_library_recovers_from_a_relaxed_model_that_overflows():
     """So do 4 of the 64 in single precision, without bounds."""
     assert solved_pair(torch.inf, torch.float32, compile=True).converged.all()
+
+
+@pytest.mark.parametrize("compile", [False, True])
+def test_three_controls_that_are_held_where_the_cost_is_not_convex_in_them(compile):
+    """The promise was below zero in some: converged off the minimum, or after far more steps."""
+    generator = torch.Generator().manual_seed(1)
+    mixed, pull = (
+        torch.randn(COUNT, *shape, generator=generator).double() for shape in ((3, 3), (3,))
+    )
+    curvature = mixed + mixed.mT + torch.diag_embed(torch.tensor([-1.0, 4.0, 4.0]).double())
+
+    def cost(states, controls, curvature, pull):
+        bent = (controls.unsqueeze(-1) * curvature.unsqueeze(-3)).sum(-2)
+        own = (controls * (0.5 * bent + pull.unsqueeze(-2))).sum(-1)
+        return own + 0.1 * states.sin().sum(-1)
+
+    def step(state, control):
+        return state + DT * control
+
+    side, still = torch.ones(3).double(), torch.zeros(COUNT, 3).double()
+    problem = Batched(step), Batched(cost, curvature, pull), Bounds(-side, side)
+    solve = ILQR(compile=compile, one_by_one=COUNT)
+    with torch.no_grad():
+        solution = solve(*problem, still, torch.zeros(COUNT, 4, 3).double())
+    assert solution.converged.all()
+    assert solution.residual.max() < 1e-6

@@ -244,9 +244,10 @@ inline void box_qp_of_pair(const Real* H, const Real* g, const Real* low, const 
 // block principal pivoting, as in box_qp.py
 template <int M>
 inline void box_qp_by_pivoting(const Real* H, const Real* g, const Real* low, const Real* high, Real* k) {
-  int side[M] = {}, fewest = M + 1;
+  int side[M], fewest = M + 1;
   bool patient = true, is_free[M];
   Real inverse[M * M], fixed[M], rest[M];
+  for (int i = 0; i < M; ++i) side[i] = low[i] >= high[i] ? -1 : 0;  // what has no choice is never free
   for (int exchange = 0; exchange < 200; ++exchange) {
     for (int i = 0; i < M; ++i) {
       is_free[i] = side[i] == 0;
@@ -264,7 +265,7 @@ inline void box_qp_by_pivoting(const Real* H, const Real* g, const Real* low, co
     for (int i = 0; i < M; ++i) {
       Real slope = g[i];
       for (int j = 0; j < M; ++j) slope += H[i * M + j] * k[j];
-      wanted[i] = is_free[i] ? (k[i] < low[i] ? -1 : k[i] > high[i] ? 1 : 0) : (side[i] * slope > 0 ? 0 : side[i]);
+      wanted[i] = is_free[i] ? (k[i] < low[i] ? -1 : k[i] > high[i] ? 1 : 0) : (side[i] * slope > 0 && low[i] < high[i] ? 0 : side[i]);
       if (wanted[i] != side[i]) {
         ++number;
         last = i;
