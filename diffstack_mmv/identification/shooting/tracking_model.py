@@ -16,6 +16,7 @@ from diffstack_mmv.identification.shooting.problem import (
     Unknowns,
 )
 from diffstack_mmv.identification.shooting.settings import TrackingSettings
+from diffstack_mmv.identification.tracks.instruments import recorded_controls
 from diffstack_mmv.identification.tracks.segments import SegmentBatch
 from diffstack_mmv.types import Motion
 
@@ -136,7 +137,8 @@ class TrackingModel(nn.Module):
             scale = rate * self.model.dt_s
             parts.append((change * measured.weight / scale).unsqueeze(-1))
         if self.settings.control_noise is not None:
-            parts.append((control - measured.controls) * measured.control_weight)
+            told = recorded_controls(self.model, plain, control)
+            parts.append((told - measured.controls) * measured.control_weight)
         return torch.cat(parts, -1)
 
     def forward(

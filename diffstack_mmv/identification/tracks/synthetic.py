@@ -10,6 +10,7 @@ from diffstack_mmv.checks import require, require_at_least, require_positive
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.dynamics.manoeuvres import Braking, Slalom, Turn
 from diffstack_mmv.dynamics.open_loop import OpenLoopRun, drive
+from diffstack_mmv.identification.tracks.instruments import recorded_controls
 from diffstack_mmv.identification.tracks.segments import TrackSegment
 from diffstack_mmv.vehicles import VehicleSpec
 
@@ -78,7 +79,8 @@ class MeasurementModel:
             ValueError: The number of measured controls is not that of the model.
         """
         rows = len(run.controls) // self.every
-        driven = run.controls[: rows * self.every].unflatten(0, (rows, self.every)).mean(1)
+        told = recorded_controls(model, run.states[:-1], run.controls)
+        driven = told[: rows * self.every].unflatten(0, (rows, self.every)).mean(1)
         controls = torch.cat([driven, driven[-1:]])
         motion = model.motion(run.states[: rows * self.every + 1 : self.every], controls)
         noise = self.position_m * _normal(motion.position, generator)
