@@ -90,7 +90,8 @@ class TrackingAssumptions:
         )
         if self.jerk_mps3 is not None and self.curvature_rate is not None:
             return settings
-        estimated = estimate_rider_scales(settings, spec, segments, dt_s)
+        smoothed = recordings.smoothed
+        estimated = estimate_rider_scales(settings, spec, segments, dt_s, smoothed)
         return replace(
             estimated,
             jerk_mps3=_given(self.jerk_mps3, estimated.jerk_mps3),

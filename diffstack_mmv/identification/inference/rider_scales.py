@@ -40,7 +40,7 @@ def rate_scales(
 
     (Σ ĉ² / Σ (1 - v))^½, where v is the posterior variance of a rate in units of its prior's: the
     squares of the inferred rates over the number of rates that the tracks determine. One if the
-    assumed scales fit the tracks.
+    assumed scales fit the tracks, or none of them was followed.
 
     Args:
         simulator: Model and residuals.
@@ -48,6 +48,9 @@ def rate_scales(
         solution: Their controls, inferred.
     """
     unknowns, simulated = solution.unknowns, solution.simulated
+    if not bool(solution.converged.any()):
+        logger.warning("No track tells how fast its rider acts. Are its velocities those of noise?")
+        return unknowns.rates.new_ones(COMMAND_DIM)
     theta = simulator.parameters.start()
     jacobian = simulator.jacobian(theta, problem, unknowns, simulated, shared=False)
     local = normal_equations(jacobian, simulated.residual, unknowns).local
@@ -60,20 +63,25 @@ def rate_scales(
 
 @torch.no_grad()
 def estimate_rider_scales(
-    settings: TrackingSettings, spec: VehicleSpec, segments: Sequence[TrackSegment], dt_s: float
+    settings: TrackingSettings,
+    spec: VehicleSpec,
+    segments: Sequence[TrackSegment],
+    dt_s: float,
+    smoothed: bool = True,
 ) -> TrackingSettings:
     """Scales of the rider's rates of maximal evidence, the same for every model.
 
     The evidence is maximised on an extended unicycle, which has no physical parameter that could
-    compensate for the rider. Positions that are closer than a smoother's window or a recorded step
-    are not independent, and would make riders seem slow: one every half a second counts, with the
-    noise of the mean of all of them.
+    compensate for the rider. Smoothed positions that are closer than a smoother's window or a
+    recorded step are not independent, and would make riders seem slow: one every half a second
+    counts, with the noise of the mean of all of them.
 
     Args:
         settings: Noise, and scales to begin with.
         spec: The vehicle, of which only the limits matter.
         segments: The tracks.
         dt_s: Their step in s.
+        smoothed: Whether errors of their positions are correlated.
 
     Returns:
         The settings with `jerk_mps3` and `curvature_rate` changed.
@@ -82,7 +90,7 @@ def estimate_rider_scales(
         MacKay, Bayesian interpolation, Neural Computation 4, 1992 (fixed point of the evidence).
     """
     given, few = settings, LevenbergMarquardt(30)
-    every = max(round(CORRELATION_S / dt_s), 1)
+    every = max(round(CORRELATION_S / dt_s), 1) if smoothed else 1
     first = settings = replace(
         given,
         along_m=given.along_m / math.sqrt(every),

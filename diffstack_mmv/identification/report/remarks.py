@@ -12,6 +12,7 @@ from diffstack_mmv.identification.inference.sensitivity import Identifiability, 
 from diffstack_mmv.identification.shooting.linearisation import TrackSimulator
 from diffstack_mmv.identification.shooting.parameters import ParameterVector
 from diffstack_mmv.identification.shooting.settings import TrackingSettings
+from diffstack_mmv.identification.tracks.cutting import UNSMOOTHED
 
 NEAR_THE_LIMIT = 0.6  # of the adhesion limit: above, friction shapes the path
 MISFIT = 1.25  # residuals over assumed noise
@@ -19,7 +20,6 @@ LARGE_INFLUENCE = 0.5  # prior deviations
 AT_THE_EDGE = 0.01  # of the range
 NOTEWORTHY = 0.05  # share of the posterior of an optimum that gets a remark
 WEAKEST = 3  # directions that get a remark
-UNSMOOTHED = ("none", "Unsmoothed")  # how a source begins that tells of no smoother
 LAGGING = "CausalSmoother"  # how one begins that tells of a smoother with a lag
 ROUNDING = 1e-12  # share of the prior's information below which a number is an error of rounding
 

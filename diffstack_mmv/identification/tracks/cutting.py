@@ -13,6 +13,9 @@ from diffstack_mmv.geometry import direction, wrap_angle
 from diffstack_mmv.identification.tracks.segments import TrackSegment
 from diffstack_mmv.types import Motion
 
+UNSMOOTHED = ("none", "Unsmoothed")
+"""How the name of a smoother begins that is none."""
+
 MOST_APART = 1.5
 """Factor between the way of tracks and what their velocities make of it: a wrong unit or step."""
 
@@ -26,6 +29,11 @@ class Recordings(NamedTuple):
     noise_m: tuple[float, float] | None = None  # of a position, along and across the motion
     smoother: str = "none"
     parts_of: Mapping[str, str] | None = None  # recording of a scene, where one holds several
+
+    @property
+    def smoothed(self) -> bool:
+        """Whether positions went through a smoother, so that their errors are correlated."""
+        return not self.smoother.startswith(UNSMOOTHED)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from diffstack_mmv.identification.shooting.problem import Measurements, Tracking
 from tests.identification.conftest import segment_along_circle
 
 
-def rides(jerk, curvature_rate, noise_m, count=8, steps=50, dt_s=0.1):
+def rides(jerk, curvature_rate, noise_m, count=8, steps=50, dt_s=0.1, smoothed=True):
     """Unicycles whose acceleration and curvature walk at random."""
     generator = torch.Generator().manual_seed(0)
     scale = dt_s * torch.tensor([jerk, curvature_rate])
@@ -27,7 +27,8 @@ def rides(jerk, curvature_rate, noise_m, count=8, steps=50, dt_s=0.1):
         course = dt_s * (speed * walk[:, 1]).cumsum(0)
         way = dt_s * (speed.unsqueeze(-1) * torch.stack([course.cos(), course.sin()], -1))
         noise = noise_m * torch.randn(steps + 1, 2, generator=generator)
-        noise = torch.from_numpy(savgol_filter(noise, 9, 2, axis=0))  # as converters smooth it
+        if smoothed:  # as converters do
+            noise = torch.from_numpy(savgol_filter(noise, 9, 2, axis=0))
         rides.append(TrackSegment(f"{index}@0s", way.cumsum(0) + noise, course, speed))
     return rides
 
@@ -41,6 +42,29 @@ def test_scales_of_a_known_rider_are_found_from_elsewhere(bicycle, jerk, curvatu
     assert found.jerk_mps3 == pytest.approx(jerk, rel=0.35)
     assert found.curvature_rate == pytest.approx(curvature_rate, rel=0.35)
     assert found.along_m == settings.along_m
+
+
+def test_every_sample_that_is_not_smoothed_tells_of_the_rider(bicycle):
+    """Taken for a mean over half a second, each made riders seem several times as quick."""
+    unsmoothed = rides(1.0, 0.1, 0.05, steps=75, dt_s=0.04, smoothed=False)
+    found = estimate_rider_scales(TrackingSettings(0.05, 0.05), bicycle, unsmoothed, 0.04, False)
+    assert found.jerk_mps3 == pytest.approx(1.0, rel=0.4)
+    assert found.curvature_rate == pytest.approx(0.1, rel=0.4)
+
+
+def test_tracks_that_no_rider_follows_leave_the_rates_as_they_were(bicycle, monkeypatch, caplog):
+    """Their mean square was zero, and riders that never change anything were assumed."""
+    infer = rider_scales.infer_controls
+
+    def lost(*arguments):
+        solution = infer(*arguments)
+        return solution._replace(converged=torch.zeros_like(solution.converged))
+
+    monkeypatch.setattr(rider_scales, "infer_controls", lost)
+    settings = TrackingSettings(0.03, 0.03)
+    found = estimate_rider_scales(settings, bicycle, rides(1.0, 0.1, 0.03, count=2), 0.1)
+    assert found == settings
+    assert "No track tells how fast its rider acts." in caplog.text
 
 
 @pytest.mark.slow
