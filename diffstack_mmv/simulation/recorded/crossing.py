@@ -108,7 +108,7 @@ class CrossingRules:
         """A crossing through a place with many agents, the more of them the likelier.
 
         Args:
-            rows: The agents.
+            rows: The agents; rows beyond the last one count for nothing.
             start: Row in which the vehicle starts.
             step_s: From one row to the next.
             random: Generator, which is advanced.
@@ -117,6 +117,7 @@ class CrossingRules:
             The crossing, or None where nobody walks.
         """
         first, last = (start + round(time / step_s) for time in (self.from_s, self.until_s))
+        last = min(last, rows.inside.shape[1])  # episodes may end before `until_s`
         now = slice(first, last, 2)
         inside = rows.inside[:, now]
         place = rows.position[:, now][inside]

@@ -65,11 +65,25 @@ def test_nobody_is_there_after_the_end_and_who_comes_later_is_left_out():
     assert len(rows_of(scene, 0.1 * np.arange(3)).position) == 1
 
 
-def test_the_way_is_drawn_on_both_sides_of_the_right_angle_to_the_flow():
+def two_ways():
+    """Two people who walk along x, to either side."""
     time = np.arange(30) * 0.25
     position = np.stack([np.stack([time * v, np.full(30, y)], -1) for v, y in ((1, 0), (-1, 1))])
-    rows = RecordedRows(position, np.ones((2, 30), dtype=bool), np.full(2, 0.3))
-    random, rules = np.random.RandomState(0), CrossingRules(turn_deg=20.0)
+    return RecordedRows(position, np.ones((2, 30), dtype=bool), np.full(2, 0.3))
+
+
+@pytest.mark.parametrize("steps", [21, 22])
+def test_a_place_may_be_busy_for_longer_than_an_episode_lasts(steps):
+    until_end = CrossingRules(until_s=0.25 * steps).draw
+    expected = until_end(two_ways(), 2, 0.25, np.random.RandomState(0))
+    short = two_ways().later(0, 2 + steps)
+    found = CrossingRules(until_s=6.0).draw(short, 2, 0.25, np.random.RandomState(0))
+    assert found.heading == expected.heading
+    assert np.array_equal(found.centre, expected.centre)
+
+
+def test_the_way_is_drawn_on_both_sides_of_the_right_angle_to_the_flow():
+    rows, random, rules = two_ways(), np.random.RandomState(0), CrossingRules(turn_deg=20.0)
     headings = [rules.draw(rows, 2, 0.25, random).heading for _ in range(60)]
     across = np.sin(headings)
     assert 0.3 < (across > 0).mean() < 0.7
