@@ -18,7 +18,7 @@ from diffstack_mmv.planning import (
     predicted_obstacles,
     straight_reference,
 )
-from diffstack_mmv.simulation.decisions import Decided, continued, unbatched
+from diffstack_mmv.simulation.decisions import Decided, batched, continued, unbatched
 from diffstack_mmv.simulation.delay import DelayCompensation
 from diffstack_mmv.simulation.forecasters import PedestrianForecast, PedestrianForecaster
 from diffstack_mmv.simulation.observation import Observation, in_precision_of
@@ -106,7 +106,8 @@ class DiffMPCController:
 
     def init(self, observation: Observation) -> DiffMPCState:
         """State at the start of episodes: no plan, no waiting."""
-        goal = observation.goal.reshape(-1, 2).to(self.planner.dynamics.bounds.lower)
+        observation = batched(observation)
+        goal = observation.goal.to(self.planner.dynamics.bounds.lower)
         count, planner = len(goal), self.planner
         return DiffMPCState(
             forecaster=self.forecaster.init(observation),

@@ -65,10 +65,16 @@ def decide(controller: Controller, state: Any, observation: Observation) -> Deci
     return Decided(*answer)
 
 
+def batched(observation: Observation) -> Observation:
+    """The observation with a leading dimension, of one where a single episode has none."""
+    if observation.time.dim() > 0:
+        return observation
+    return map_tensors(lambda entry: entry.unsqueeze(0), observation)
+
+
 def unbatched(controller: Controller, state: Any, observation: Observation) -> Decided:
     """Decide for a single episode as for a batch of one, whose state has that leading dimension."""
-    one = map_tensors(lambda entry: entry.unsqueeze(0), observation)
-    action, after = decide(controller, state, one)
+    action, after = decide(controller, state, batched(observation))
     return Decided(action.squeeze(0), after)
 
 

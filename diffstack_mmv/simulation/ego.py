@@ -15,6 +15,7 @@ from diffstack_mmv.simulation.case_noise import NoiseSource, case_noise, millise
 from diffstack_mmv.simulation.decisions import (
     Controller,
     Decided,
+    batched,
     diagnosis_of,
     thoughts_of,
     unbatched,
@@ -151,10 +152,9 @@ class EstimatingController:
 
     def init(self, observation: Observation) -> EstimatingState:
         """Nothing has been measured yet."""
-        motion = observation.motion
-        if motion.heading.dim() == 0:
-            motion = Motion(*(part.unsqueeze(0) for part in motion))
-        still = self.model.bounds.lower.new_zeros(len(motion.heading), self.model.control_dim)
+        observation = batched(observation)
+        motion, like = observation.motion, self.model.bounds.lower
+        still = like.new_zeros(len(motion.heading), self.model.control_dim)
         return EstimatingState(None, motion, still, None, self.controller.init(observation))
 
     def act(self, state: EstimatingState, observation: Observation) -> Decided:

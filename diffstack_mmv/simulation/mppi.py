@@ -15,7 +15,7 @@ from diffstack_mmv.planning import (
     predicted_obstacles,
 )
 from diffstack_mmv.simulation.case_noise import NoiseSource, case_noise, milliseconds
-from diffstack_mmv.simulation.decisions import Decided, continued, unbatched
+from diffstack_mmv.simulation.decisions import Decided, batched, continued, unbatched
 from diffstack_mmv.simulation.forecasters import PedestrianForecaster
 from diffstack_mmv.simulation.observation import Observation, in_precision_of
 from diffstack_mmv.types import Forecast, map_tensors
@@ -83,8 +83,8 @@ class MPPIController:
 
     def init(self, observation: Observation) -> MPPIState:
         """State at the start of episodes: zero controls, and the samples from their beginning."""
-        count, like = observation.time.numel(), self.dynamics.bounds.lower
-        mean = torch.zeros(count, self.steps, len(like)).to(like)
+        observation, like = batched(observation), self.dynamics.bounds.lower
+        mean = like.new_zeros(len(observation.time), self.steps, len(like))
         return MPPIState(self.forecaster.init(observation), mean)
 
     @torch.no_grad()

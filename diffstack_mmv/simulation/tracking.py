@@ -12,6 +12,7 @@ from diffstack_mmv.checks import require_at_least, require_positive
 from diffstack_mmv.simulation.decisions import (
     Controller,
     Decided,
+    batched,
     diagnosis_of,
     thoughts_of,
     unbatched,
@@ -117,7 +118,7 @@ class TrackingController:
 
     def init(self, observation: Observation) -> TrackingState:
         """Nothing has been tracked yet."""
-        return TrackingState(None, self.controller.init(observation))
+        return TrackingState(None, self.controller.init(batched(observation)))
 
     def act(self, state: TrackingState, observation: Observation) -> Decided:
         """What the other controller decides."""

@@ -5,15 +5,20 @@ import torch
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 
+from diffstack_mmv.prediction import ConstantVelocity
 from diffstack_mmv.simulation import (
     BlindDriver,
     ConstantVelocityForecaster,
     CrossingRules,
     DiscFootprint,
     ExactVerdict,
+    LearnedForecaster,
+    MPPIController,
+    PedestrianTracker,
     RecordedCrossing,
     ReplayCrowd,
     StopAndGoDriver,
+    TrackingController,
     World,
     controller_model,
     drive,
@@ -40,6 +45,22 @@ def test_who_is_absent_is_no_obstacle_and_takes_no_room(crossing, controller_for
         there = seen.pedestrian_position[case][seen.seen[case]].float()
         now = obstacles.position[case][obstacles.valid[case]][:, 0, 0]
         assert torch.equal(now, there)
+
+
+@pytest.mark.parametrize("name", ["diffmpc", "mppi", "tracking"])
+def test_a_single_episode_with_a_past_is_a_batch_of_one(name, crossing, controller_for, driven):
+    forecaster = LearnedForecaster(ConstantVelocity(30, 0.1), history_s=2.0)
+    controller = MPPIController(controller_model(driven(), driven()), forecaster, samples=4)
+    if name == "diffmpc":
+        controller = controller_for(starts=0)
+        controller.forecaster = forecaster
+    if name == "tracking":
+        controller = TrackingController(controller, PedestrianTracker())
+    world = World(vehicle_robot(driven()), ReplayCrowd(), ExactVerdict(8.0))
+    seen = world.observe(world.start(crossing().case("test", 0)))
+    one = map_tensors(lambda entry: entry.unsqueeze(0), seen)
+    single, batch = (controller.act(controller.init(each), each).action for each in (seen, one))
+    assert torch.equal(single, batch.squeeze(0))
 
 
 def test_stop_and_go_stops_for_who_walks_in_front(driven):
