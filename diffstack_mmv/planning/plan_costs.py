@@ -44,7 +44,8 @@ class PreparedCost:
         self.problem = problem
         self.differentiable = differentiable
         self._prices: Pricer | None = None
-        self._is_possible = in_library and problem.goal.dim() == 2
+        goals = problem.goal
+        self._is_possible = in_library and goals.dim() == 2 and len(goals) > 0
 
     def __call__(
         self, motion: Motion, controls: Float[Tensor, "*b C T m"]

@@ -39,6 +39,13 @@ def test_a_library_costs_what_tensors_cost():
     torch.testing.assert_close(found, expected, rtol=2e-5, atol=2e-4)
 
 
+def test_no_problem_costs_nothing_with_a_library_as_without():
+    planner = training()
+    none = map_tensors(lambda entry: entry[:0], crowded(problem(), 5))
+    cost = PreparedCost(planner, none, True, False)(*plans(planner, none))
+    assert cost.shape == (0, len(DetourFan().detour.offset) + 1, STEPS + 1)
+
+
 def test_impossible_components_do_not_change_what_a_library_costs():
     """The collision term takes an agent by its expected distance, not component by component."""
     planner, problems = training(), crowded(problem(), 5)
