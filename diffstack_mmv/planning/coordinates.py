@@ -124,14 +124,10 @@ class AccelerationShares:
         lower[self.column], upper[self.column] = 0.0, 1.0
         return Bounds(lower, upper)
 
-    @property
-    def step(self) -> Callable[[Tensor, Tensor], Tensor]:
-        """The model, given shares."""
-        return self._step
-
-    def _step(
+    def step(
         self, state: Float[Tensor, "*b n"], coordinates: Float[Tensor, "*b m"]
     ) -> Float[Tensor, "*b n"]:
+        """One step of the model, given shares."""
         return self.dynamics(state, self.controls(state, coordinates))
 
     def controls(
@@ -174,7 +170,7 @@ class AccelerationShares:
         way = (most - least).clamp_min(torch.finfo(most.dtype).tiny)
         columns[self.column] = ((columns[self.column] - least) / way).clamp(0, 1)
         shares = torch.stack(columns, -1)
-        return self._step(state, shares), shares
+        return self.step(state, shares), shares
 
     def _range(
         self, states: Float[Tensor, "*b n"]

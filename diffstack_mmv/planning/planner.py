@@ -253,13 +253,11 @@ class MPCPlanner(Planner):
         cost = batched_objective(self, self.dynamics, each, coordinates)
         start = initial_state(self.dynamics, each.ego)
         first = coordinates.coordinates(start.detach(), proposed, self._in_library)
-        limited = self.constraints is not None and self.constraints.limits and len(proposed)
-        if self.constraints is not None and limited and isinstance(self.solver, ILQR):
-            solve, model = self.constraints.solve, self.dynamics
-            solution = solve(self.solver, model, coordinates, each, cost, first, start)
+        solver, kept = self.solver, self.constraints
+        if isinstance(solver, ILQR) and kept is not None and kept.limits and len(proposed):
+            solution = kept.solve(solver, self.dynamics, coordinates, each, cost, first, start)
         else:
-            model = Batched(coordinates.step)
-            solution = self.solver(model, cost, coordinates.bounds, start, first)
+            solution = solver(Batched(coordinates.step), cost, coordinates.bounds, start, first)
         controls = coordinates.controls(solution.states[..., :-1, :], solution.controls)
         solution = solution._replace(controls=controls)
         return map_tensors(lambda entry: entry.unflatten(0, shape), solution)
