@@ -329,12 +329,12 @@ def on_host(*tensors: Tensor) -> bool:
     return all(tensor.device.type == "cpu" for tensor in tensors)
 
 
-def map_tensors(function: Callable[[Tensor], Tensor], record: Any) -> Any:
-    """Apply a function to every tensor of a (nested) record; all else, as `dt_s`, stays."""
+def map_tensors(function: Callable[..., Tensor], record: Any, *others: Any) -> Any:
+    """Apply a function to the tensors of (nested) records, field by field; all else stays."""
     if isinstance(record, Tensor):
-        return function(record)
+        return function(record, *others)
     if isinstance(record, tuple):
-        parts = [map_tensors(function, field) for field in record]
+        parts = [map_tensors(function, *fields) for fields in zip(record, *others, strict=True)]
         return type(record)(*parts) if hasattr(record, "_fields") else tuple(parts)
     return record
 

@@ -138,6 +138,14 @@ def test_mapping_reaches_every_tensor_and_keeps_the_rest():
     assert map_tensors(torch.neg, record[1]) == 0.1
 
 
+def test_mapping_several_records_meets_the_same_field_of_each():
+    first, second = ((torch.tensor(n), None, (torch.tensor(n + 1), "m")) for n in (1, 10))
+    found = map_tensors(lambda *entries: sum(entries), first, second, second)
+    assert found == (21, None, (24, "m"))
+    with pytest.raises(ValueError, match="shorter"):
+        map_tensors(torch.add, first, second[:2])
+
+
 def test_entries_are_taken_from_every_tensor_by_their_numbers():
     forecast, index = example_forecast(), torch.tensor([[2, 0], [3, 3], [1, 2]])
     found = taken(forecast, index)

@@ -18,7 +18,7 @@ from diffstack_mmv.control import pad_controls
 from diffstack_mmv.control.native.scan import scan
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.planning.problem import initial_state
-from diffstack_mmv.types import Motion, PlanningProblem
+from diffstack_mmv.types import Motion, PlanningProblem, map_tensors
 
 
 class Candidates(NamedTuple):
@@ -109,7 +109,7 @@ class CandidateFan:
         """Roll out the fan of every problem over a number of steps."""
         horizon_s = steps * dynamics.dt_s
         lattice, to_goal = self._lattice(problem, horizon_s), self._to_goal(problem, horizon_s)
-        arc = Arc(*(torch.cat(pair, -1) for pair in zip(lattice, to_goal, strict=True)))
+        arc = map_tensors(lambda *pair: torch.cat(pair, -1), lattice, to_goal)
         rows = torch.stack(arc, -1).unsqueeze(-2)
 
         def control_of(state: Tensor, row: Tensor) -> Tensor:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -11,7 +11,7 @@ from torch import Tensor
 from diffstack_mmv.checks import require_at_least, require_positive, require_switch
 from diffstack_mmv.planning.clearance import ClearanceMargin, clearance_within_steps
 from diffstack_mmv.planning.judgement import Passing, judged
-from diffstack_mmv.types import Motion, PlanningProblem
+from diffstack_mmv.types import Motion, PlanningProblem, map_tensors
 
 
 class Plans(NamedTuple):
@@ -22,9 +22,7 @@ class Plans(NamedTuple):
 
     def beside(self, more: "Plans") -> "Plans":
         """These plans, then the others."""
-        join = _joining(self.motion.heading.dim() - 2)
-        motion = Motion(*map(join, self.motion, more.motion))
-        return Plans(join(self.controls, more.controls), motion)
+        return _beside(self, more, self.motion.heading.dim() - 2)
 
 
 class Situation(NamedTuple):
@@ -47,8 +45,7 @@ class ScoredPlans(NamedTuple):
 
     def beside(self, more: "ScoredPlans") -> "ScoredPlans":
         """These plans, then the others."""
-        join = _joining(self.cost.dim() - 1)
-        return ScoredPlans(self.plans.beside(more.plans), *map(join, self[1:], more[1:]))
+        return _beside(self, more, self.cost.dim() - 1)
 
     def best(self) -> Int[Tensor, "*b"]:
         """The cheapest safe plan; where none is safe, the one that lacks the least clearance."""
@@ -178,6 +175,6 @@ class PlanPrice:
         )
 
 
-def _joining(dim: int) -> Callable[[Tensor, Tensor], Tensor]:
-    """A function that puts one tensor after the other along a dimension."""
-    return lambda first, second: torch.cat((first, second), dim)
+def _beside(plans: Any, more: Any, dim: int) -> Any:
+    """The tensors of a record, then those of the other, along a dimension."""
+    return map_tensors(lambda *entries: torch.cat(entries, dim), plans, more)

@@ -230,11 +230,7 @@ def _of_present(seen: Observation, told: PedestrianForecast) -> Forecast:
 
 def merged(decisions: Sequence[Decision]) -> Decision:
     """One decision of those made at the same time for different episodes."""
-    origin, status, rows = (
-        torch.cat(part) for part in zip(*(d[:3] for d in decisions), strict=True)
-    )
-    thoughts = zip(*(decision.thought for decision in decisions), strict=True)
-    return Decision(origin, status, rows, Thought(*map(torch.cat, thoughts)))
+    return map_tensors(lambda *entries: torch.cat(entries), *decisions)
 
 
 def _decision(plan: Plan, forecast: Forecast, rows: Int[Tensor, " r"]) -> Decision:

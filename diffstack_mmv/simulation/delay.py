@@ -9,7 +9,7 @@ from diffstack_mmv.checks import require_between
 from diffstack_mmv.dynamics import DynamicsModel
 from diffstack_mmv.geometry import rotate
 from diffstack_mmv.simulation.observation import Observation
-from diffstack_mmv.types import Forecast, Motion
+from diffstack_mmv.types import Forecast, Motion, map_tensors
 
 
 class DelayCompensation:
@@ -42,7 +42,7 @@ class DelayCompensation:
         state = self.model.initial_state(motion)
         ahead = self.model.motion(self.model(state, acting.to(like)), acting.to(like))
         walked = self.model.dt_s * observation.pedestrian_velocity
-        later = Motion(*(new.to(old) for new, old in zip(ahead, observation.motion, strict=True)))
+        later = map_tensors(lambda new, old: new.to(old), ahead, observation.motion)
         return observation._replace(
             motion=later,
             velocity=rotate(later.velocity, later.heading),

@@ -21,7 +21,7 @@ from diffstack_mmv.simulation.decisions import (
     unbatched,
 )
 from diffstack_mmv.simulation.observation import Observation
-from diffstack_mmv.types import EgoEstimate, EgoMeasurement, Motion
+from diffstack_mmv.types import EgoEstimate, EgoMeasurement, Motion, map_tensors
 
 
 @runtime_checkable
@@ -171,9 +171,7 @@ class EstimatingController:
         else:
             found = self.estimator(horizon, measured)
             horizon, instruments = found.horizon, found.estimate.instruments
-            believed = Motion(
-                *(new.to(old) for new, old in zip(found.estimate.motion, seen, strict=True))
-            )
+            believed = map_tensors(lambda new, old: new.to(old), found.estimate.motion, seen)
         told = observation._replace(
             motion=believed, velocity=rotate(believed.velocity, believed.heading)
         )

@@ -10,7 +10,7 @@ from diffstack_mmv.simulation.decisions import Controller, decide, require_contr
 from diffstack_mmv.simulation.scene import Scene
 from diffstack_mmv.simulation.verdict import Judgement
 from diffstack_mmv.simulation.world import World, WorldState
-from diffstack_mmv.types import EpisodeRecord, Motion, Outcome, taken
+from diffstack_mmv.types import EpisodeRecord, Outcome, map_tensors, taken
 from dmmv_conventions.progress import counted
 
 
@@ -64,26 +64,20 @@ def drive(world: World, scene: Scene, controller: Controller) -> DrivenEpisodes:
 
 def _record(world: World, states: list[WorldState], rows: list[_Row]) -> EpisodeRecord:
     """Join the steps; what happened after the end of an episode is replaced by its last row."""
-    steps = torch.stack([row.running for row in rows]).sum(dim=0)
+    action, judgement, running = map_tensors(lambda *each: torch.stack(each, dim=1), *rows)
+    steps = running.sum(dim=1)
     row_of = torch.minimum(torch.arange(len(states), device=steps.device), steps[:, None])
     last = (steps - 1)[:, None]
     motions = [world.robot.motion(state.robot) for state in states]
-    judgement = Judgement(
-        *(torch.stack(field, dim=1) for field in zip(*(r.judgement for r in rows), strict=True))
-    )
-    running = torch.stack([row.running for row in rows], dim=1)
+    motion = map_tensors(lambda *each: torch.stack(each, dim=1), *motions)
     clearance = torch.cat((world.clearance(states[0])[:, None], judgement.clearance), dim=1)
     outcome = judgement.outcome.gather(1, last).squeeze(1)
     time = torch.stack([state.time for state in states], dim=1).gather(1, steps[:, None])
     limit = torch.full_like(time.squeeze(1), world.verdict.limit_s)
     return EpisodeRecord(
-        motion=Motion(
-            *(taken(torch.stack(field, dim=1), row_of) for field in zip(*motions, strict=True))
-        ),
+        motion=taken(motion, row_of),
         pedestrians=taken(torch.stack([_seen(s) for s in states], dim=1), row_of),
-        controls=taken(
-            torch.stack([row.action for row in rows], dim=1), row_of[:, :-1].clamp(max=last)
-        ),
+        controls=taken(action, row_of[:, :-1].clamp(max=last)),
         reward=torch.where(running, judgement.reward, torch.zeros_like(judgement.reward)),
         clearance=taken(clearance, row_of),
         outcome=outcome,

@@ -11,13 +11,7 @@ from typing import ClassVar
 import numpy as np
 import torch
 
-from diffstack_mmv.checks import (
-    message,
-    require,
-    require_at_least,
-    require_positive,
-    require_whole,
-)
+from diffstack_mmv.checks import message, require_at_least, require_positive, require_whole
 from diffstack_mmv.simulation.phases import generator
 from diffstack_mmv.simulation.scene import Scene, stacked
 
@@ -91,9 +85,7 @@ class Scenario(ABC):
         Raises:
             ValueError: As in `case`, or there are no numbers.
         """
-        scenes = [self.case(phase, number) for number in numbers]
-        require(bool(scenes), "numbers", "name at least one case", "none")
-        return stacked(scenes)
+        return stacked([self.case(phase, number) for number in numbers])
 
     @abstractmethod
     def sample(self, random: np.random.RandomState) -> Scene:

@@ -1,13 +1,15 @@
 """Where episodes start, and what gives such starts by number."""
 
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from diffstack_mmv.checks import require
 from diffstack_mmv.simulation.pedestrians import AnyCrowdState, Itinerary
+from diffstack_mmv.types import map_tensors
 
 
 class Scene(NamedTuple):
@@ -45,11 +47,11 @@ class CaseSource(Protocol):
         ...
 
 
-def stacked(records: Sequence[Any]) -> Any:
-    """One record whose tensors have a leading dimension, from equal (nested) records."""
-    first = records[0]
-    if isinstance(first, Tensor):
-        return torch.stack(list(records))
-    if first is None:
-        return None
-    return type(first)(*(stacked(fields) for fields in zip(*records, strict=True)))
+def stacked(scenes: Sequence[Scene]) -> Scene:
+    """Scenes without leading dimensions as a batch.
+
+    Raises:
+        ValueError: There are none.
+    """
+    require(len(scenes) > 0, "numbers", "name at least one case", "none")
+    return map_tensors(lambda *entries: torch.stack(entries), *scenes)

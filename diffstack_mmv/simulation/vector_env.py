@@ -175,10 +175,7 @@ class CrowdNavVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         numbers = self._drawn(len(rows))
         self._cases[rows.numpy()] = numbers
         start = self.world.start(self.scenario.cases(self._phase, numbers.tolist()))
-        fresh: list[Tensor] = []
-        map_tensors(lambda entry: fresh.append(entry) or entry, start)
-        entries = iter(fresh)
-        return map_tensors(lambda entry: entry.index_copy(0, rows, next(entries)), state)
+        return map_tensors(lambda old, new: old.index_copy(0, rows, new), state, start)
 
     def _drawn(self, count: int) -> Int[np.ndarray, " count"]:
         return self.np_random.integers(PHASES[self._phase].cases, size=count)

@@ -131,9 +131,7 @@ class RecordedCrossing:
         Raises:
             ValueError: As in `case`, or there are no numbers.
         """
-        scenes = [self._remembered(phase, number) for number in numbers]
-        require(bool(scenes), "numbers", "name at least one case", "none")
-        return stacked(scenes)
+        return stacked([self._remembered(phase, number) for number in numbers])
 
     def _remembered(self, phase: str, number: int) -> Scene:
         """A case, which is drawn once: every controller of a study drives it."""
