@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -12,7 +12,7 @@ from diffstack_mmv.checks import require_positive
 from diffstack_mmv.geometry import length
 from diffstack_mmv.simulation.collision import ClosestApproach, Footprint
 from diffstack_mmv.simulation.pedestrians import AnyCrowdState
-from diffstack_mmv.types import Outcome
+from diffstack_mmv.types import Motion, Outcome
 
 
 class RobotPath(NamedTuple):
@@ -69,15 +69,6 @@ class Rewards:
         return torch.where(outcome == Outcome.SUCCESS, self.success, reward)
 
 
-class Facts(NamedTuple):
-    """What happened in a step, before the facts are weighed against each other."""
-
-    collided: Bool[Tensor, "*b"]
-    reached: Bool[Tensor, "*b"]
-    late: Bool[Tensor, "*b"]
-    uneasy: Bool[Tensor, "*b"]
-
-
 @dataclass(frozen=True)
 class Verdict(ABC):
     """Judges the steps of episodes.
@@ -94,6 +85,8 @@ class Verdict(ABC):
         Chen et al., Crowd-Robot Interaction (ICRA 2019), Eq. 2.
     """
 
+    precedence: ClassVar[tuple[Outcome, ...]]
+    """Outcomes of a step, each of which hides those before it."""
     limit_s: float
     goal_tolerance_m: float = 0.3
     rewards: Rewards = field(default_factory=Rewards)
@@ -114,26 +107,16 @@ class Verdict(ABC):
         """
         clearance = _nearest(self._clearance(step), step.pedestrians.present)
         way = step.path.position[..., -1, :] - step.goal
-        distance = length(way)
-        facts = Facts(
-            collided=clearance < 0,
-            reached=distance < self.goal_tolerance_m,
-            late=self._is_late(step),
-            uneasy=clearance < self.rewards.discomfort_m,
-        )
-        outcome = self._outcome(facts)
+        facts = {
+            Outcome.DISCOMFORT: clearance < self.rewards.discomfort_m,
+            Outcome.COLLISION: clearance < 0,
+            Outcome.SUCCESS: length(way) < self.goal_tolerance_m,
+            Outcome.TIMEOUT: self._is_late(step),
+        }
+        outcome = torch.full_like(clearance, Outcome.RUNNING, dtype=torch.int64)
+        for each in self.precedence:
+            outcome = torch.where(facts[each], int(each), outcome)
         return Judgement(outcome, self.rewards.of(outcome, clearance, step.dt_s), clearance)
-
-    @staticmethod
-    def at_rest(
-        path: RobotPath, footprint: Footprint, pedestrians: AnyCrowdState
-    ) -> Float[Tensor, "*b"]:
-        """Clearance in m to the nearest pedestrian at the end of `path`, all standing still."""
-        position, heading = path.position[..., -1:, :], path.heading[..., -1:]
-        offset = pedestrians.position - position
-        heading = heading.expand(pedestrians.radius.shape)
-        approach = ClosestApproach(offset, offset, pedestrians.radius, heading, heading)
-        return _nearest(footprint.clearance(approach), pedestrians.present)
 
     @abstractmethod
     def _clearance(self, step: Encounter) -> Float[Tensor, "*b h"]:
@@ -143,9 +126,15 @@ class Verdict(ABC):
     def _is_late(self, step: Encounter) -> Bool[Tensor, "*b"]:
         """Whether the time is up at the end of the step."""
 
-    @abstractmethod
-    def _outcome(self, facts: Facts) -> Int[Tensor, "*b"]:
-        """Weigh the facts against each other."""
+
+def clearance_at_rest(
+    motion: Motion, footprint: Footprint, pedestrians: AnyCrowdState
+) -> Float[Tensor, "*b"]:
+    """Clearance in m from a robot that stands there to the nearest pedestrian, all at rest."""
+    offset = pedestrians.position - motion.position[..., None, :]
+    heading = motion.heading[..., None].expand(pedestrians.radius.shape)
+    approach = ClosestApproach(offset, offset, pedestrians.radius, heading, heading)
+    return _nearest(footprint.clearance(approach), pedestrians.present)
 
 
 def _nearest(

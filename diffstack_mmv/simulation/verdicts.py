@@ -4,12 +4,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
-from diffstack_mmv.checks import require_at_least, require_one_of, require_positive
+from diffstack_mmv.checks import require_one_of, require_positive
 from diffstack_mmv.simulation.collision import ClosestApproach
-from diffstack_mmv.simulation.verdict import Encounter, Facts, Verdict
+from diffstack_mmv.simulation.verdict import Encounter, Verdict
 from diffstack_mmv.types import Outcome
 
 EARLY_S = 1.0
@@ -35,6 +35,8 @@ class CrowdNavVerdict(Verdict):
         ValueError: The limit is not above one second, or the tolerance not positive.
     """
 
+    precedence = Outcome.DISCOMFORT, Outcome.SUCCESS, Outcome.COLLISION, Outcome.TIMEOUT
+
     def __post_init__(self) -> None:
         """Check the sizes once, at the border."""
         super().__post_init__()
@@ -57,15 +59,6 @@ class CrowdNavVerdict(Verdict):
         """The clock before the step stands within a second of the limit."""
         return step.time >= self.limit_s - EARLY_S
 
-    def _outcome(self, facts: Facts) -> Int[Tensor, "*b"]:
-        """Time-out before collision before success before discomfort."""
-        outcome = _mark(
-            torch.zeros_like(facts.late, dtype=torch.int64), facts.uneasy, Outcome.DISCOMFORT
-        )
-        outcome = _mark(outcome, facts.reached, Outcome.SUCCESS)
-        outcome = _mark(outcome, facts.collided, Outcome.COLLISION)
-        return _mark(outcome, facts.late, Outcome.TIMEOUT)
-
 
 @dataclass(frozen=True)
 class ExactVerdict(Verdict):
@@ -83,10 +76,7 @@ class ExactVerdict(Verdict):
         ValueError: The limit or the tolerance is not positive.
     """
 
-    def __post_init__(self) -> None:
-        """Check the sizes once, at the border."""
-        super().__post_init__()
-        require_at_least("limit_s", self.limit_s, ROUNDING_S)
+    precedence = Outcome.DISCOMFORT, Outcome.TIMEOUT, Outcome.SUCCESS, Outcome.COLLISION
 
     def _clearance(self, step: Encounter) -> Float[Tensor, "*b h"]:
         """Smallest over the pieces of the path, each a straight relative motion, in m."""
@@ -109,22 +99,6 @@ class ExactVerdict(Verdict):
     def _is_late(self, step: Encounter) -> Bool[Tensor, "*b"]:
         """The clock after the step has reached the limit."""
         return step.time + step.dt_s >= self.limit_s - ROUNDING_S
-
-    def _outcome(self, facts: Facts) -> Int[Tensor, "*b"]:
-        """Collision before success before time-out before discomfort."""
-        outcome = _mark(
-            torch.zeros_like(facts.late, dtype=torch.int64), facts.uneasy, Outcome.DISCOMFORT
-        )
-        outcome = _mark(outcome, facts.late, Outcome.TIMEOUT)
-        outcome = _mark(outcome, facts.reached, Outcome.SUCCESS)
-        return _mark(outcome, facts.collided, Outcome.COLLISION)
-
-
-def _mark(
-    outcome: Int[Tensor, "*b"], where: Bool[Tensor, "*b"], mark: Outcome
-) -> Int[Tensor, "*b"]:
-    """Overwrite the outcome where a fact holds."""
-    return torch.where(where, int(mark), outcome)
 
 
 VERDICTS: dict[str, Callable[[float], Verdict]] = {

@@ -26,7 +26,7 @@ from diffstack_mmv.simulation.pedestrians import (
 )
 from diffstack_mmv.simulation.robot import Robot, seen_by_pedestrians
 from diffstack_mmv.simulation.scene import Scene
-from diffstack_mmv.simulation.verdict import Encounter, Judgement, RobotPath, Verdict
+from diffstack_mmv.simulation.verdict import Encounter, Judgement, Verdict, clearance_at_rest
 from diffstack_mmv.types import map_tensors
 
 
@@ -197,5 +197,4 @@ class World:
     def clearance(self, state: WorldState) -> Float[Tensor, "*b"]:
         """Clearance in m between the robot and the nearest pedestrian at this instant."""
         motion = self.robot.motion(state.robot)
-        path = RobotPath(motion.position[..., None, :], motion.heading[..., None])
-        return self.verdict.at_rest(path, self.robot.footprint, state.pedestrians)
+        return clearance_at_rest(motion, self.robot.footprint, state.pedestrians)

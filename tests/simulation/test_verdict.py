@@ -12,8 +12,8 @@ from diffstack_mmv.simulation import (
     RectangleFootprint,
 )
 from diffstack_mmv.simulation.pedestrians import CrowdState
-from diffstack_mmv.simulation.verdict import Encounter, RobotPath
-from diffstack_mmv.types import Outcome
+from diffstack_mmv.simulation.verdict import Encounter, RobotPath, clearance_at_rest
+from diffstack_mmv.types import Motion, Outcome
 
 VERDICTS = [CrowdNavVerdict(10.0), ExactVerdict(10.0)]
 BOTH = pytest.mark.parametrize("verdict", VERDICTS, ids=["crowdnav", "exact"])
@@ -100,15 +100,14 @@ def test_clearance_is_that_to_the_nearest_pedestrian(verdict):
     assert judgement.clearance == pytest.approx(0.4)
 
 
-@BOTH
-def test_at_rest_clearance_is_that_at_the_end_of_the_path_wherever_the_robot_is(verdict):
+def test_clearance_at_rest_is_that_of_the_outline_wherever_the_robot_is():
     crowd = encounter(pedestrian=(4.0, 2.5)).pedestrians
-    end = torch.stack((vector(9, 9), vector(4, 1)))
-    path = RobotPath(end, torch.tensor([0.3, math.pi / 2], dtype=torch.float64))
+    heading = torch.tensor(math.pi / 2, dtype=torch.float64)
+    motion = Motion(vector(4, 1), heading, vector(0, 0), heading)
     footprint = RectangleFootprint(1.8, 0.6, ahead_m=0.2)
-    assert float(verdict.at_rest(path, footprint, crowd)) == pytest.approx(1.5 - 1.1 - 0.3)
+    assert float(clearance_at_rest(motion, footprint, crowd)) == pytest.approx(1.5 - 1.1 - 0.3)
     nobody = type(crowd)(*(field[:0] for field in crowd))
-    assert float(verdict.at_rest(path, footprint, nobody)) == math.inf
+    assert float(clearance_at_rest(motion, footprint, nobody)) == math.inf
 
 
 @pytest.mark.parametrize("kind", [CrowdNavVerdict, ExactVerdict])

@@ -10,9 +10,9 @@ from diffstack_mmv.simulation.pedestrians.recorded import far_away
 from diffstack_mmv.simulation.recorded.case_scene import case_scene
 from diffstack_mmv.simulation.recorded.crossing import Crossing, RecordedRows
 from diffstack_mmv.simulation.recorded.passage import PassageRules, Walks, _bend, _reaches_end
-from diffstack_mmv.simulation.verdict import Encounter, RobotPath
+from diffstack_mmv.simulation.verdict import Encounter, RobotPath, clearance_at_rest
 from diffstack_mmv.simulation.verdicts import CrowdNavVerdict, ExactVerdict
-from diffstack_mmv.types import map_tensors
+from diffstack_mmv.types import Motion, map_tensors
 
 STEP_S, LEAD, WAY_M = 0.5, 2, 10.0
 # one walks along x all the time, one enters in the fourth row and leaves after the fifth
@@ -65,11 +65,12 @@ def test_who_is_absent_has_no_clearance(kind):
     step = Encounter(
         path, DiscFootprint(0.3), still[0], crowd, still.expand(3, 2), still[0], still[0, 0], STEP_S
     )
+    motion = Motion(still[0], still[0, 0], still[0], still[0, 0])
     nobody = crowd._replace(inside=torch.zeros_like(crowd.inside))
     for people, expected in ((crowd, 1.0 - 0.25 - 0.3), (nobody, np.inf)):
         told = (
             kind(9.0)(step._replace(pedestrians=people)).clearance,
-            kind.at_rest(*step[:2], people),
+            clearance_at_rest(motion, step.footprint, people),
         )
         assert list(map(float, told)) == pytest.approx([expected] * 2)
 
