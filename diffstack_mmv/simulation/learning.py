@@ -5,7 +5,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least
-from diffstack_mmv.geometry import length
 from diffstack_mmv.simulation.decisions import Controller, decide
 from diffstack_mmv.simulation.scene import Scene
 from diffstack_mmv.simulation.world import World
@@ -76,5 +75,4 @@ def way_left_loss(world: World, scene: Scene, learner: Controller, steps: int) -
     for _ in range(steps):
         action, known = decide(learner, known, world.observe(state))
         state = world.step(state, action).state
-    way = world.observe(state).motion.position - state.goal
-    return length(way).mean()
+    return world.way_left(state).mean()

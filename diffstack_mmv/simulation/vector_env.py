@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from diffstack_mmv.checks import require, require_at_least, require_one_of, require_whole
-from diffstack_mmv.geometry import length
 from diffstack_mmv.simulation.env import CrowdNavEnv, begun, require_render_mode
 from diffstack_mmv.simulation.phases import PHASES
 from diffstack_mmv.simulation.scene import CaseSource
@@ -139,7 +138,7 @@ class CrowdNavVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
         after, judgement = self.world.step(before, control)
         reward = judgement.reward
         if self.progress_reward:
-            nearer = self._way(before) - self._way(after)
+            nearer = self.world.way_left(before) - self.world.way_left(after)
             reward = reward + self.progress_reward * nearer
         outcome = judgement.outcome
         terminated = (outcome == Outcome.COLLISION) | (outcome == Outcome.SUCCESS)
@@ -179,9 +178,6 @@ class CrowdNavVectorEnv(VectorEnv[Any, np.ndarray, np.ndarray]):
 
     def _drawn(self, count: int) -> Int[np.ndarray, " count"]:
         return self.np_random.integers(PHASES[self._phase].cases, size=count)
-
-    def _way(self, state: WorldState) -> Float[Tensor, " n"]:
-        return length(state.goal - self.world.robot.motion(state.robot).position)
 
     def _shown(self, state: WorldState) -> Any:
         return self.view(self.world.observe(state))

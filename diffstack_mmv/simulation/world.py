@@ -16,6 +16,7 @@ from diffstack_mmv.checks import (
     require_positive,
     require_switch,
 )
+from diffstack_mmv.geometry import length
 from diffstack_mmv.simulation.observation import Observation, Sensing
 from diffstack_mmv.simulation.pedestrians import (
     AnyCrowdState,
@@ -193,6 +194,10 @@ class World:
         remedy = "Choose crowd=replay."
         told = type(pedestrians).__name__
         raise ValueError(message("reveals_s", "be 0 without a recording", told, "", remedy))
+
+    def way_left(self, state: WorldState) -> Float[Tensor, "*b"]:
+        """Distance in m from the robot's centre to its goal."""
+        return length(state.goal - self.robot.motion(state.robot).position)
 
     def clearance(self, state: WorldState) -> Float[Tensor, "*b"]:
         """Clearance in m between the robot and the nearest pedestrian at this instant."""

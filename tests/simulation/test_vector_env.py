@@ -84,10 +84,10 @@ def test_coming_nearer_is_rewarded(crowds):
     for env in (plain, shaped):
         env.reset(options={"phase": "test", "cases": [0, 1, 2]})
         for _ in range(2):
-            before = env._way(env.state)
+            before = env.world.way_left(env.state)
             _, reward, *_ = env.step(np.tile([2.0, 0.0], (3, 1)))
         gained.append(reward)
-    nearer = (before - shaped._way(shaped.state)).numpy()
+    nearer = (before - shaped.world.way_left(shaped.state)).numpy()
     assert gained[1] - gained[0] == pytest.approx(2.0 * nearer)
     assert (nearer > 0).all()
 

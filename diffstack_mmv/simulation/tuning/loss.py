@@ -7,7 +7,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_positive
-from diffstack_mmv.geometry import length
 from diffstack_mmv.simulation.decisions import Controller, decide
 from diffstack_mmv.simulation.scene import Scene
 from diffstack_mmv.simulation.world import World
@@ -70,7 +69,7 @@ class DrivingLoss:
             seen = world.observe(state)._replace(running=running)
             action, known = decide(controller, known, seen)
             state, judgement = world.step(state, action)
-            way = self._way(world, state)
+            way = world.way_left(state)
             lack = (1 - judgement.clearance / self.clearance_m).clamp_min(0)
             cost = world.dt_s * (way / (way + self.near_m) + self.clearance_weight * lack.square())
             total = total + torch.where(running, cost, 0.0)
@@ -78,7 +77,3 @@ class DrivingLoss:
             if not bool(running.any()):
                 break
         return total
-
-    @staticmethod
-    def _way(world: World, state) -> Float[Tensor, " episodes"]:  # noqa: ANN001
-        return length(state.goal - world.robot.motion(state.robot).position)
