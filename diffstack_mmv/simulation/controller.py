@@ -20,14 +20,13 @@ from diffstack_mmv.planning import (
 )
 from diffstack_mmv.simulation.decisions import Decided, batched, continued, unbatched
 from diffstack_mmv.simulation.delay import DelayCompensation
-from diffstack_mmv.simulation.forecasters import PedestrianForecast, PedestrianForecaster
+from diffstack_mmv.simulation.forecasters import PedestrianForecaster
 from diffstack_mmv.simulation.observation import Observation, in_precision_of
 from diffstack_mmv.simulation.thoughts import Thought, joined, thought
 from diffstack_mmv.types import (
     Ego,
     Forecast,
     HeadingOf,
-    Plan,
     PlanningProblem,
     PlanOrigin,
     SolverStatus,
@@ -37,8 +36,6 @@ from diffstack_mmv.types import (
 
 PROGRESS_M = 0.05
 """A vehicle that comes closer to its goal than ever by less than this per decision is waiting."""
-
-
 FEWEST = 5
 """Pedestrians that there is always room for."""
 
@@ -48,7 +45,6 @@ class Decision(NamedTuple):
 
     origin: Int[Tensor, " r"]  # a PlanOrigin
     status: Int[Tensor, "r k"]  # a SolverStatus per start
-    rows: Int[Tensor, " r"]  # number of the episode
     thought: Thought
 
 
@@ -147,11 +143,10 @@ class DiffMPCController:
         plan = planner(map_tensors(lambda entry: entry[rows], problem), before)
         controls = state.plan.index_copy(0, rows, plan.controls)
         action = controls[:, 0] if self.actuate is None else self.actuate(controls[:, 0])
-        state = state._replace(
-            plan=controls.detach(),
-            decisions=(*state.decisions, _decision(plan, _of_present(observation, told), rows)),
-        )
-        return Decided(action, state)
+        expected = thought(plan, _of_present(observation, told.forecast), rows)
+        decision = Decision(plan.origin, plan.solution.status, expected)
+        decisions = (*state.decisions, decision)
+        return Decided(action, state._replace(plan=controls.detach(), decisions=decisions))
 
     def problem(self, observation: Observation, forecast: Forecast) -> PlanningProblem:
         """The planning problem of an observation, `*b`, in the precision of the dynamics."""
@@ -168,7 +163,7 @@ class DiffMPCController:
     def diagnosis(self, state: DiffMPCState) -> dict[str, Float[Tensor, " E"]]:
         """Per episode: share of its decisions by origin, and of its solves that converged."""
         count = len(state.plan)
-        rows = torch.cat([decision.rows for decision in state.decisions])
+        rows = torch.cat([decision.thought.rows for decision in state.decisions])
         origin = torch.cat([decision.origin for decision in state.decisions])
         status = torch.cat([decision.status for decision in state.decisions])
         total = torch.zeros(count).index_add(0, rows, torch.ones(len(rows)))
@@ -221,17 +216,12 @@ def _present_first(seen: Observation, forecast: Forecast) -> _People:
     return taken(everybody, (~present).long().argsort(dim=-1, stable=True)[..., :room])
 
 
-def _of_present(seen: Observation, told: PedestrianForecast) -> Forecast:
+def _of_present(seen: Observation, forecast: Forecast) -> Forecast:
     """A forecast to look at: NaN for those who are absent."""
-    mean = told.forecast.mean
     present = seen.seen[..., None, None, None]
-    return told.forecast._replace(mean=torch.where(present, mean, torch.full_like(mean, torch.nan)))
+    return forecast._replace(mean=torch.where(present, forecast.mean, torch.nan))
 
 
 def merged(decisions: Sequence[Decision]) -> Decision:
     """One decision of those made at the same time for different episodes."""
     return map_tensors(lambda *entries: torch.cat(entries), *decisions)
-
-
-def _decision(plan: Plan, forecast: Forecast, rows: Int[Tensor, " r"]) -> Decision:
-    return Decision(plan.origin, plan.solution.status, rows, thought(plan, forecast, rows))

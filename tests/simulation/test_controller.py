@@ -114,7 +114,7 @@ def test_an_ended_episode_is_left_out(crossing_world, scenario_of, controller_fo
     running = torch.tensor([False, True])
     action, state = first_decision(controller, seen._replace(running=running))
     assert (action[0] == 0).all()
-    assert state.decisions[0].rows.tolist() == [1]
+    assert state.decisions[0].thought.rows.tolist() == [1]
 
 
 def test_the_optimiser_improves_on_its_start(crossing_world, scenario_of, controller_for):
