@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from diffstack_mmv.checks import require_at_least, require_between
-from diffstack_mmv.simulation.pedestrians import Crowd, VisibleRobot
+from diffstack_mmv.simulation.pedestrians import VisibleRobot
 from diffstack_mmv.simulation.scene import CaseSource, Scene
 from diffstack_mmv.simulation.world import World
 from diffstack_mmv.types import Outcome, map_tensors
@@ -117,20 +117,6 @@ class AvoidanceSearch:
 
 
 @dataclass(frozen=True)
-class _Noted:
-    """A crowd whose velocities are noted, m/s."""
-
-    crowd: Crowd
-    velocities: list[Float[Tensor, "one h 2"]]
-
-    def __call__(
-        self, crowd: Any, dt_s: float, robot: VisibleRobot | None = None
-    ) -> Float[Tensor, "one h 2"]:
-        self.velocities.append(self.crowd(crowd, dt_s, robot))
-        return self.velocities[-1]
-
-
-@dataclass(frozen=True)
 class _Foretold:
     """A crowd that walks as told, in many episodes at once."""
 
@@ -144,10 +130,10 @@ class _Foretold:
 
 def _walks(world: World, scene: Scene, steps: int) -> list[Float[Tensor, "one h 2"]]:
     """Velocities in m/s of a crowd that does not see the robot, step by step."""
-    noted = _Noted(world.crowd, [])
-    world = replace(world, crowd=noted)
-    state = world.start(scene)
+    state, velocities = world.start(scene), []
     action = torch.stack(list(world.robot.bounds)).mean(0, keepdim=True)
     for _ in range(steps):
+        # the same state is always followed by the same step
+        velocities.append(world.crowd(state.pedestrians, world.dt_s))
         state, _ = world.step(state, action)
-    return noted.velocities
+    return velocities
