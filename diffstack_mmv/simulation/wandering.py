@@ -1,5 +1,6 @@
 """Crowds whose members walk on to new goals, as those of DS-RNN and CrowdNav++ do."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,7 +15,9 @@ from diffstack_mmv.simulation.scene import Scene
 GOALS = 24
 """Goals drawn beforehand for each pedestrian: more than anybody reaches within a limit."""
 CHANGES = 12
-"""Times at which goals may be given up: more than fit into a limit."""
+"""Times at which goals may be given up, at least; each more frequent one has a goal of its own."""
+LATEST_S = 60.0
+"""Goals may be given up until then, which is later than the limit of any benchmark."""
 
 
 @dataclass(frozen=True)
@@ -116,11 +119,13 @@ class WanderingCrossing(Scenario):
 
     def _itinerary(self, speed: np.ndarray, random: np.random.RandomState) -> Itinerary:
         """Goals near the circle, and who gives up when."""
-        angle = random.uniform(0, 2 * np.pi, (self.humans, GOALS, 1))
-        shift = random.uniform(-0.5, 0.5, (self.humans, GOALS, 2)) * speed[:, None, None]
+        changes = max(CHANGES, math.ceil(LATEST_S / self.change_every_s))
+        count = GOALS + changes - CHANGES
+        angle = random.uniform(0, 2 * np.pi, (self.humans, count, 1))
+        shift = random.uniform(-0.5, 0.5, (self.humans, count, 2)) * speed[:, None, None]
         goals = self.circle_radius_m * np.concatenate([np.cos(angle), np.sin(angle)], -1) + shift
-        gives_up = random.uniform(size=(self.humans, CHANGES)) < self.change_chance
-        times = self.change_every_s * np.arange(1, CHANGES + 1)
+        gives_up = random.uniform(size=(self.humans, changes)) < self.change_chance
+        times = self.change_every_s * np.arange(1, changes + 1)
         return Itinerary(
             goals=torch.from_numpy(goals),
             taken=torch.zeros(self.humans, dtype=torch.long),

@@ -1,5 +1,7 @@
 """Crowds that walk on to new goals."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -45,6 +47,15 @@ def test_goals_change_on_arrival_and_at_the_moments_drawn(crossing, world_with):
             assert torch.equal(changed, arrived)
         before = state
     assert bool((state.itinerary.taken > 0).any())
+
+
+@pytest.mark.parametrize(("every_s", "changes"), [(7.0, 12), (5.0, 12), (1.0, 60)])
+def test_goals_may_be_given_up_until_the_latest_limit(crossing, every_s, changes):
+    restless = replace(crossing, change_every_s=every_s, change_chance=1.0)
+    itinerary = restless.case("val", 0).itinerary
+    assert itinerary.times.tolist() == [every_s * number for number in range(1, changes + 1)]
+    assert itinerary.gives_up.shape == (8, changes)
+    assert itinerary.goals.shape[-2] >= changes
 
 
 def test_the_robot_of_a_limited_sensor_still_meets_everybody(crossing, world_with):
