@@ -34,8 +34,8 @@ from diffstack_mmv.types import (
     taken,
 )
 
-PROGRESS_M = 0.05
-"""A vehicle that comes closer to its goal than ever by less than this per decision is waiting."""
+PROGRESS_MPS = 0.2
+"""A vehicle that comes closer to its goal than ever no faster than this is waiting."""
 FEWEST = 5
 """Pedestrians that there is always room for."""
 
@@ -185,7 +185,7 @@ class DiffMPCController:
         """Count how long each vehicle has come no closer to its goal."""
         with torch.no_grad():
             way = (problem.goal - problem.ego.motion.position).norm(dim=-1)
-            advances = way < state.nearest - PROGRESS_M
+            advances = way < state.nearest - PROGRESS_MPS * self.dt_s
             nearest = torch.where(advances, way, state.nearest)
             more = torch.where(advances, -0.5 * self.dt_s, self.dt_s)
             return state._replace(nearest=nearest, waited=(state.waited + more).clamp_min(0))

@@ -87,6 +87,22 @@ def test_who_gets_no_closer_loses_patience(crossing_world, scene_with, controlle
     assert state.waited.tolist() == [pytest.approx(0.75)]
 
 
+@pytest.mark.parametrize(("speed_mps", "waits"), [(0.1, True), (0.3, False)])
+@pytest.mark.parametrize("dt_s", [0.25, 0.05])
+def test_slow_progress_is_no_waiting_however_often_is_decided(
+    crossing_world, scene_with, controller_for, dt_s, speed_mps, waits
+):
+    controller = controller_for(starts=0)
+    controller.dt_s = dt_s
+    seen = crossing_world.observe(crossing_world.start(batched(scene_with((9.0, 0.0), (9.0, 1.0)))))
+    state, step = controller.init(seen), torch.tensor([0.0, speed_mps * dt_s])
+    for number in range(4):
+        position = seen.motion.position + number * step
+        moved = seen._replace(motion=seen.motion._replace(position=position))
+        _, state = controller.act(state, moved)
+    assert (float(state.waited) > 0) is waits
+
+
 def test_one_controller_serves_two_sets_of_episodes_in_turn(
     crossing_world, scenario_of, controller_for
 ):
