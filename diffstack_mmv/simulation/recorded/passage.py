@@ -1,6 +1,6 @@
 """Whether a way among agents is passable for a vehicle that knows where they will be."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -70,7 +70,7 @@ class Walks:
     position: NDArray[np.float64]
     inside: NDArray[np.bool_]
     radius: NDArray[np.float64]
-    step_s: float = field(default=0.25)
+    step_s: float
 
     def free(
         self, path: Float[np.ndarray, "points 2"], apart_m: float

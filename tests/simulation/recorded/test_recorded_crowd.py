@@ -217,7 +217,7 @@ def test_a_drive_does_not_stop_at_once(place, reached):
 def test_points_within_the_distance_of_an_outline_are_not_free():
     place = np.zeros((1, 2, 2))
     path = np.array([[0.0, 0.0], [0.74, 0.0], [0.0, -0.76]])
-    found = Walks(place, np.array([[True, False]]), np.array([0.25])).free(path, 0.5)
+    found = Walks(place, np.array([[True, False]]), np.array([0.25]), 0.25).free(path, 0.5)
     assert found.tolist() == [[False, False, True], [True, True, True]]
 
 
