@@ -1,4 +1,4 @@
-"""Scores of candidates, and the cross entropy against the human's choice."""
+"""Which candidate is closest to what the human did, and the cross entropy of choosing it."""
 
 import torch
 from jaxtyping import Bool, Float, Int

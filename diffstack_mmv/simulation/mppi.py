@@ -29,7 +29,7 @@ class MPPIState(NamedTuple):
     """What the controller knows from the decisions before, for `b` episodes."""
 
     forecaster: Any  # the record of the forecaster
-    mean: Float[Tensor, "b T m"]  # the averaged plans, shifted by a step
+    mean: Float[Tensor, "b T m"]  # the averaged plans, from the next decision on
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class MPPIController:
 
     @torch.no_grad()
     def act(self, state: MPPIState, observation: Observation) -> Decided:
-        """First control of the averaged plan, SI units."""
+        """First control of the averaged plan, in the units of the robot."""
         if observation.time.dim() == 0:
             return unbatched(self, state, observation)
         told = self.forecaster(state.forecaster, observation, self.dynamics.dt_s, self.steps)

@@ -13,7 +13,7 @@ from diffstack_mmv.types import map_tensors
 
 
 class Scene(NamedTuple):
-    """Start of episodes, `*b`, with `h` pedestrians; float64, m, rad, world frame; all at rest."""
+    """Start of episodes `*b`, the robot at rest, `h` pedestrians; float64, m, rad, world frame."""
 
     robot_position: Float[Tensor, "*b 2"]
     robot_heading: Float[Tensor, "*b"]

@@ -70,7 +70,7 @@ class SuddenCrowd:
 def random_looking(
     position: Float[Tensor, "*b h 2"], number: int, seed: int
 ) -> Float[Tensor, "*b h"]:
-    """Numbers in [0, 1) that look random, from positions in micrometres.
+    """Numbers in [0, 1) that look random: those of places a micrometre apart differ.
 
     Args:
         position: Where everybody stands, m.
