@@ -46,7 +46,6 @@ from diffstack_mmv.identification.shooting.wheel_positions import (
     free_positions,
     with_uncertain_positions,
 )
-from diffstack_mmv.identification.tracks.segments import TrackSegment
 from diffstack_mmv.identification.tracks.synthetic import (
     POOR_MANOEUVRES,
     RICH_MANOEUVRES,
@@ -93,9 +92,10 @@ def vehicle(name, tied):
 
 
 def rows_of(segment, rows):
-    name, position, course, speed, controls, _ = segment
-    controls = None if controls is None else controls[rows]
-    return TrackSegment(name, position[rows], course[rows], speed[rows], controls)
+    """Those rows of a segment."""
+    motion = {key: getattr(segment, key)[rows] for key in ("position", "course", "speed")}
+    controls = None if segment.controls is None else segment.controls[rows]
+    return segment._replace(**motion, controls=controls)
 
 
 def smoothed(segment, smoother):
