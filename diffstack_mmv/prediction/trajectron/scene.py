@@ -54,7 +54,9 @@ class SceneEncoder(nn.Module):
         self.history = PerKind(
             {kind: MaskedLSTM(TRACK_FEATURES, history) for kind in (VEHICLE, PEDESTRIAN)}, history
         )
-        self.interaction = Interaction(history, edge, sizes.reach_m, sizes.fade_m, sizes.dropout)
+        self.interaction = Interaction(
+            history, edge, sizes.reach_m, sizes.fade_m, sizes.dropout, sizes.detail_m
+        )
         self.site = site
         self.rough = rough
         self.outputs = history + edge + MOTION_FEATURES + len(Mode)

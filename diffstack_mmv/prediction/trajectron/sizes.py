@@ -15,6 +15,8 @@ class Sizes(NamedTuple):
             of what the decoder is told of the scene.
         reach_m: Distance in m at which the influence of a neighbor is halved, see `Interaction`.
         fade_m: Length in m of the fading around `reach_m`: at 4 `fade_m` beyond it, 2 % are left.
+        detail_m: Length in m up to which places of neighbors are told apart, with their closest
+            approach, see `edge_features`; None: in units of 10 m, as earlier checkpoints.
     """
 
     history: int = 32
@@ -24,3 +26,4 @@ class Sizes(NamedTuple):
     dropout: float = 0.1
     reach_m: float = 15.0
     fade_m: float = 2.0
+    detail_m: float | None = None
