@@ -121,7 +121,6 @@ class TrajdataWindows(CachedUnifiedDataset):
             cache_location=str(cache),
             require_map_cache=False,
         )
-        self.cache_class = SceneTable
 
     def _get_data_index(self, num_workers: int, scene_paths: list[Path]) -> list[Any]:
         index = []
