@@ -12,7 +12,9 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
+from omegaconf import OmegaConf
 
 import diffstack_mmv.commands.cli  # noqa: F401  registers the resolvers
 
@@ -127,6 +129,32 @@ def test_settings_in_command_lines_exist():
     GlobalHydra.instance().clear()
     assert refused == []
     assert {"train", "evaluate", "convert", "navigate", "identify"} <= {each for each, *_ in found}
+
+
+def test_drives_in_command_lines_are_of_their_table():
+    parser, unknown, drives, tables = OverridesParser.create(), [], {}, set()
+    for script, *words in (words for path in DOCUMENTS for words in commands(path)):
+        if script != "scripts/closed_loop_table.py":
+            continue
+        read = parser.parse_overrides([word.replace("$", "") for word in words])
+        given = {each.key_or_group: each.value() for each in read}
+        chosen = given["table"]
+        table = OmegaConf.load(ROOT / "configs" / "table" / f"{chosen}.yaml")
+        named = {key: list(given.get(key, table[key])) for key in ("rows", "places")}
+        unknown += [
+            (chosen, each) for key in named for each in named[key] if each not in table[key]
+        ]
+        if "overrides" in given and not unknown:
+            first = (table.rows[named["rows"][0]], table.places[named["places"][0]])
+            drives[tuple(map(str, given["overrides"]))] = [*table["settings"], *first[1], *first[0]]
+        tables.add(chosen)
+    assert unknown == []
+    assert {"crowdnav", "published", "dense"} <= tables
+    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
+        for overrides, before in drives.items():
+            typed = {each.partition("=")[0]: each for each in (*before, *overrides)}
+            compose("navigate", list(typed.values()))
+    GlobalHydra.instance().clear()
 
 
 @pytest.mark.slow
